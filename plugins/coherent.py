@@ -1,0 +1,92 @@
+r"""
+.. _integrator-coherent:
+
+Coherent integrator (:monosp:`coherent`)
+----------------------------------------
+
+.. pluginparameters::
+
+ * - method
+   - |string|
+   - ``auto`` chooses the fastest way that keeps the tolerance, ``direct`` sums every pair of scatterer and pixel, ``fast``
+     always expands, ``rays`` interpolates the paths of random rays. (Default: auto)
+   -
+ * - tolerance
+   - |float|
+   - Largest relative L2 error of the field for ``auto`` and ``fast``, 1e-8 to 1e-1. (Default: 1e-4)
+   -
+ * - diffraction
+   - |boolean|
+   - Whether light is diffracted at openings; otherwise they cast geometric shadows. (Default: true)
+   -
+ * - rays_per_source
+   - |integer|
+   - Rays of each scatterer, for ``rays`` only. (Default: 1500)
+   -
+
+Adds up the complex field exp(+i k L) of every scatterer of the ``rough_target`` under the ``laser`` on the pixels of the
+``detector``, with L the optical path length. Its images have the channels ``Y``, ``E.re`` and ``E.im``.
+
+.. tabs::
+    .. code-tab:: xml
+
+        <integrator type="coherent">
+            <string name="method" value="auto"/>
+            <float name="tolerance" value="1e-4"/>
+        </integrator>
+
+    .. code-tab:: python
+
+        'type': 'coherent', 'method': 'auto', 'tolerance': 1e-4
+"""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from speckle_mi.assembly import Options, assembly_from_scene
+from speckle_mi.parameters import describe, read_boolean, read_choice, read_integer, read_number
+from speckle_mi.simulate import simulate
+
+_METHODS = ("auto", "direct", "fast", "rays")
+
+
+class Coherent(mi.SamplingIntegrator):
+    def __init__(self, props: mi.Properties) -> None:
+        self.where = describe(props)
+        self.options = Options(
+            method=read_choice(props, "method", "auto", _METHODS),
+            tolerance=read_number(props, "tolerance", 1e-4, at_least=1e-8, at_most=1e-1),
+            diffraction=read_boolean(props, "diffraction", True),
+            rays_per_source=read_integer(props, "rays_per_source", 1500, at_least=4, at_most=10**8),
+        )
+        super().__init__(props)
+
+    def aov_names(self) -> list[str]:
+        return ["E.re", "E.im"]
+
+    def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
+        sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
+        image = simulate(assembly_from_scene(scene, sensor, spp))
+        film = sensor.film()
+        film.prepare(self.aov_names())
+        film.put_block(mi.ImageBlock(_film_channels(image)))
+        return film.develop() if develop else mi.TensorXf()
+
+    def to_string(self) -> str:
+        return f"Coherent[method = {self.options.method}, tolerance = {self.options.tolerance}]"
+
+
+def _film_channels(image) -> mi.TensorXf:
+    """The image as a film stores it: R, G, B, weight, then the field."""
+    rows, columns = image.intensity.shape
+    channels = np.empty((rows, columns, 6), dtype=np.float32)
+    channels[..., :3] = image.intensity[..., None]
+    channels[..., 3] = 1
+    channels[..., 4] = image.field.real
+    channels[..., 5] = image.field.imag
+    return mi.TensorXf(channels)
+
+
+mi.register_integrator("coherent", Coherent)

@@ -1,0 +1,149 @@
+r"""
+.. _emitter-laser:
+
+Laser (:monosp:`laser`)
+-----------------------
+
+.. pluginparameters::
+
+ * - to_world
+   - |transform|
+   - Place of the laser and its direction, local +z. Aim it at the origin of the target. Only rotation and translation.
+   - |exposed|
+ * - wavelength
+   - |float|
+   - Vacuum wavelength [nm]. (Required)
+   - |exposed|
+ * - beam_radius
+   - |float|
+   - 1/e^2 intensity radius at the target, perpendicular to the beam [mm]. (Default: inf, uniform light)
+   - |exposed|
+ * - wavefront_radius
+   - |float|
+   - Radius of curvature of the wavefront where the beam meets the target [mm]; positive: diverging, negative:
+     converging. (Default: inf, collimated)
+   - |exposed|
+
+A coherent Gaussian beam. Its light reaches the target unobstructed: it is not traced through the elements between
+target and detector. The wavefront radius is independent of the laser's distance, since collimating optics
+usually stand in the laser. To other integrators it is a collimated beam of one unit of power.
+
+.. tabs::
+    .. code-tab:: xml
+
+        <emitter type="laser">
+            <transform name="to_world"><lookat origin="-28.68,0,40.96" target="0,0,0" up="0,1,0"/></transform>
+            <float name="wavelength" value="632.8"/>
+            <float name="beam_radius" value="0.12"/>
+            <float name="wavefront_radius" value="-750"/>
+        </emitter>
+
+    .. code-tab:: python
+
+        'type': 'laser', 'wavelength': 632.8, 'beam_radius': 0.12, 'wavefront_radius': -750.0,
+        'to_world': mi.ScalarTransform4f().look_at(origin=[-28.68, 0, 40.96], target=[0, 0, 0], up=[0, 1, 0])
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from speckle_mi.illumination import Beam
+from speckle_mi.parameters import SceneError, check_number, describe, read_number, stored, value_of
+from speckle_mi.placement import Placement
+
+_LIMITS = {
+    "wavelength": {"above": 0.0, "at_most": 1e6, "unit": "nm"},
+    "beam_radius": {"above": 0.0, "infinite": True, "unit": "mm"},
+    "wavefront_radius": {"infinite": True, "unit": "mm"},
+}
+
+
+class Laser(mi.Emitter):
+    def __init__(self, props: mi.Properties) -> None:
+        self.where = describe(props)
+        self.placement = Placement(props)
+        self.wavelength = stored(read_number(props, "wavelength", **_LIMITS["wavelength"]))
+        self.beam_radius = stored(read_number(props, "beam_radius", np.inf, **_LIMITS["beam_radius"]))
+        self.wavefront_radius = stored(read_number(props, "wavefront_radius", np.inf, **_LIMITS["wavefront_radius"]))
+        self._check()
+        super().__init__(props)
+        self.m_flags = mi.EmitterFlags.DeltaDirection
+
+    def beam(self) -> Beam:
+        """The beam, with its wavefront radius given at the laser's own place until it is aimed at a target."""
+        frame = self.placement.frame
+        return Beam(
+            origin=frame.origin,
+            axis=frame.axes[:, 2],
+            radius=value_of(self.beam_radius),
+            wavefront_radius=value_of(self.wavefront_radius),
+            wavelength=value_of(self.wavelength) * 1e-6,
+            reference=frame.origin,
+        )
+
+    def _check(self) -> None:
+        for name, limits in _LIMITS.items():
+            check_number(self.where, name, value_of(getattr(self, name)), **limits)
+        if value_of(self.wavefront_radius) == 0:
+            raise SceneError(f"{self.where}: parameter 'wavefront_radius' is 0 mm, must not be 0 (inf: collimated)")
+
+    # What other integrators see: a collimated beam whose irradiance is that of one unit of power.
+
+    def sample_direction(self, it, sample, active=True):
+        frame = self.placement.frame
+        axis = mi.Vector3f(*frame.axes[:, 2])
+        offset = it.p - mi.Point3f(*frame.origin)
+        distance = dr.dot(offset, axis)
+        ds = dr.zeros(mi.DirectionSample3f)
+        ds.p = it.p - distance * axis
+        ds.n = axis
+        ds.d = -axis
+        ds.dist = distance
+        ds.time = it.time
+        ds.pdf = 1.0
+        ds.delta = True
+        ds.emitter = mi.EmitterPtr(self)
+        return ds, self._irradiance(offset - distance * axis) & (active & (distance > 0))
+
+    def eval_direction(self, it, ds, active=True):
+        return mi.Spectrum(0.0)
+
+    def pdf_direction(self, it, ds, active=True):
+        return mi.Float(0.0)
+
+    def eval(self, si, active=True):
+        return mi.Spectrum(0.0)
+
+    def _irradiance(self, across):
+        radius = value_of(self.beam_radius)
+        if np.isinf(radius):
+            return mi.Spectrum(1.0)
+        return mi.Spectrum(2 / (np.pi * radius**2) * dr.exp(-2 * dr.squared_norm(across) / radius**2))
+
+    def bbox(self):
+        point = mi.ScalarPoint3f(*self.placement.frame.origin)
+        return mi.ScalarBoundingBox3f(point, point)
+
+    def world_transform(self):
+        return self.placement.to_world
+
+    def traverse(self, callback) -> None:
+        for name in _LIMITS:
+            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
+        self.placement.traverse(callback)
+
+    def parameters_changed(self, keys) -> None:
+        self.placement.parameters_changed(keys, self.where)
+        self._check()
+
+    def to_string(self) -> str:
+        return (
+            f"Laser[wavelength = {value_of(self.wavelength)} nm, beam_radius = {value_of(self.beam_radius)} mm, "
+            f"wavefront_radius = {value_of(self.wavefront_radius)} mm]"
+        )
+
+
+mi.register_emitter("laser", Laser)

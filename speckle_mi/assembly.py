@@ -1,0 +1,213 @@
+"""What a scene holds, as plain float64 data: laser beam, target, elements and detector.
+
+Everything after this module works on an :class:`Assembly`; Mitsuba's scene is asked only here and where rays have
+to find their way.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+
+import mitsuba as mi
+import numpy as np
+
+from .geometry import Frame, PlaneGrid, Pose
+from .illumination import Beam
+from .parameters import SceneError, describe_shape, integer_of, value_of
+from .surface import PointScatterers, RoughSurface
+
+GRAZING = 1e-9
+"""Cosine of the angle of incidence below which the beam cannot light the target."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the integrator was asked for."""
+
+    method: str = "auto"
+    tolerance: float = 1e-4
+    diffraction: bool = True
+    rays_per_source: int = 1500
+
+
+@dataclass(frozen=True)
+class Target:
+    """The rough target at rest.
+
+    frame: its place; surface or points: what scatters; spot: (3,) where the beam's axis meets it [mm], world;
+    spot_normal: (3,) unit normal there; shape: the Mitsuba shape; lobe: whether its BSDF shapes the radiation.
+    """
+
+    frame: Frame
+    surface: RoughSurface
+    points: PointScatterers | None
+    spot: np.ndarray
+    spot_normal: np.ndarray
+    lobe: bool
+    shape: mi.Shape
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it is a single plane patch, which cannot shade itself."""
+        return self.surface.facets.count == 1
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """One laser, one target, one detector and what the scene asks of the integrator."""
+
+    beam: Beam
+    target: Target
+    detector: PlaneGrid
+    options: Options
+    pose: Pose
+    sub_pixels: int
+
+    @property
+    def seed(self) -> int:
+        """Which surface."""
+        return self.target.surface.seed
+
+    def with_seed(self, seed: int) -> Assembly:
+        """The same assembly with another surface."""
+        surface = replace(self.target.surface, seed=seed)
+        return replace(self, target=replace(self.target, surface=surface))
+
+    def with_options(self, **changes) -> Assembly:
+        """The same assembly with other options of the integrator."""
+        return replace(self, options=replace(self.options, **changes))
+
+    def fingerprint(self) -> str:
+        """Hash of everything that determines the field but pose and seed, 16 hexadecimal digits."""
+        text = json.dumps(self._describe(), sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    def _describe(self) -> dict:
+        beam, target, grid = self.beam, self.target, self.detector
+        facets, points = target.surface.facets, target.points
+        return {
+            "beam": [_digits(value) for value in (beam.origin, beam.axis, beam.reference)]
+            + [repr(value) for value in (beam.radius, beam.wavefront_radius, beam.wavelength)],
+            "target": [_digits(target.frame.origin), _digits(target.frame.axes), repr(target.lobe)]
+            + [repr(value) for value in (target.surface.density, target.surface.roughness, target.surface.correlation_length)]
+            + [_hash(facets.origin, facets.e1, facets.e2, facets.bounds, facets.edges)],
+            "points": None if points is None else _hash(points.points, points.weights),
+            "detector": [_digits(grid.origin), _digits(grid.u), _digits(grid.v), repr(grid.pitch), list(grid.shape)],
+            "sub_pixels": self.sub_pixels,
+            "options": [self.options.method, repr(self.options.tolerance), self.options.diffraction,
+                        self.options.rays_per_source],
+        }
+
+
+def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: int = 0) -> Assembly:
+    """Collects the assembly of a loaded scene.
+
+    Raises SceneError when a laser, target, detector or coherent integrator is missing or there are several, and for
+    every shape that cannot be taken into account.
+    """
+    laser = _only(scene.emitters(), "Laser", "emitter", "laser")
+    target = _only(scene.shapes(), "RoughTarget", "shape", "rough_target")
+    detector = sensor if sensor is not None else _only(scene.sensors(), "Detector", "sensor", "detector")
+    if type(detector).__name__ != "Detector":
+        raise SceneError(f"sensor {detector.id()!r} is a {detector.class_name()}, must be a detector")
+    integrator = scene.integrator()
+    if type(integrator).__name__ != "Coherent":
+        raise SceneError(f"the scene's integrator is {integrator.class_name()}, must be <integrator type=\"coherent\"/>")
+    for emitter in scene.emitters():
+        if emitter is not laser:
+            raise SceneError(f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: its light would be left out, remove it")
+    for shape in scene.shapes():
+        if shape is not target:
+            raise SceneError(
+                f"{describe_shape(shape)} cannot be taken into account: only a rough_target may stand between laser and detector"
+            )
+    beam, target = _aim(laser.beam(), target)
+    return Assembly(
+        beam=beam,
+        target=target,
+        detector=detector.grid(),
+        options=integrator.options,
+        pose=target.shape.pose(),
+        sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
+    )
+
+
+def _only(candidates: list, kind: str, role: str, plugin: str):
+    found = [candidate for candidate in candidates if type(candidate).__name__ == kind]
+    if len(found) != 1:
+        names = ", ".join(repr(candidate.id()) for candidate in found)
+        raise SceneError(
+            f"the scene has {f'{len(found)} of <{role} type={plugin!r}>: {names}' if found else f'no <{role} type={plugin!r}>'}, "
+            "must have exactly one"
+        )
+    return found[0]
+
+
+def _sub_pixels(samples: int) -> int:
+    """Side of the square of sub-pixels that holds at least ``samples`` of them."""
+    return max(1, int(np.ceil(np.sqrt(samples) - 1e-9)))
+
+
+def _aim(beam: Beam, shape: mi.Shape) -> tuple[Beam, Target]:
+    """The beam aimed at where its axis meets the target at rest, and the target with its density of scatterers."""
+    frame, facets = shape.placement.frame, shape.facets
+    spot, normal = _where_axis_meets(facets, frame, beam, shape.where, required=shape.points is None)
+    beam = beam.aimed_at(beam.origin + ((spot - beam.origin) @ beam.axis) * beam.axis)
+    if np.isinf(beam.radius):
+        density = shape.point_sources / float(np.sum(facets.area))
+    else:
+        density = shape.point_sources * abs(float(normal @ beam.axis)) / (np.pi * beam.radius**2)
+    surface = RoughSurface(
+        facets=facets,
+        density=density,
+        roughness=value_of(shape.roughness) * 1e-3,
+        correlation_length=value_of(shape.correlation_length) * 1e-3,
+        seed=integer_of(shape.seed),
+    )
+    return beam, Target(frame, surface, shape.points, beam.reference, normal, shape.lobe, shape)
+
+
+def _where_axis_meets(facets, frame: Frame, beam: Beam, where: str, required: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Point (3,) and normal (3,) in the world where the beam's axis first meets the surface, else the target's plane."""
+    origin, axis = frame.to_local(beam.origin[None])[0], frame.axes.T @ beam.axis
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = facets.normal @ axis
+        distance = np.einsum("fk,fk->f", facets.normal, facets.origin - origin) / slope
+    distance[np.abs(slope) < GRAZING] = np.nan
+    hit = origin + distance[:, None] * axis - facets.origin
+    a, b = (np.einsum("fk,fk->f", hit, basis) for basis in (facets.e1, facets.e2))
+    slack = 1e-9 * np.max(np.abs(facets.bounds))
+    edges = facets.edges
+    # Edge normals of triangles are not of unit length, which only makes the slack finer or coarser.
+    inside = np.all(edges[..., 0] * a[:, None] + edges[..., 1] * b[:, None] <= edges[..., 2] + slack, axis=1)
+    inside &= distance > 0
+    if np.any(inside):
+        first = int(np.nanargmin(np.where(inside, distance, np.inf)))
+        normal = facets.normal[first]
+        if slope[first] > 0 and required:
+            raise SceneError(
+                f"{where}: the laser lights the back of the target (its normal points away from the laser), "
+                "must light its front: turn the target, or the faces of its mesh"
+            )
+    else:
+        first, normal = None, np.array([0.0, 0.0, 1.0])
+        if abs(axis[2]) < GRAZING:
+            if required:
+                raise SceneError(f"{where}: the laser's axis runs along the target's surface, must meet it")
+            return frame.origin, frame.axes @ normal
+        distance = np.array([-origin[2] / axis[2]])
+    at = first if first is not None else 0
+    return frame.to_world((origin + distance[at] * axis)[None])[0], frame.axes @ normal
+
+
+def _digits(array: np.ndarray) -> list[str]:
+    return [repr(float(value)) for value in np.ravel(array)]
+
+
+def _hash(*arrays: np.ndarray) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,49 @@
+"""The Dr.Jit array types of the active Mitsuba variant, without automatic differentiation."""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+import mitsuba as mi
+
+DEFAULT_VARIANT = "llvm_ad_mono"
+
+
+def set_variant(name: str = DEFAULT_VARIANT) -> None:
+    """Activates a Mitsuba variant. Raises ValueError for one that does not exist or cannot be used here."""
+    usable = [variant for variant in mi.variants() if is_usable(variant)]
+    if name not in usable:
+        raise ValueError(f"variant {name!r}: must be one of {', '.join(usable)}")
+    if name.startswith("llvm"):
+        from . import llvm
+
+        llvm.require_usable()
+    if mi.variant() != name:
+        mi.set_variant(name)
+
+
+def is_usable(variant: str) -> bool:
+    """Whether a variant computes one wavelength on a just-in-time compiled back end."""
+    return variant in ("llvm_ad_mono", "cuda_ad_mono", "llvm_mono", "cuda_mono")
+
+
+def arrays() -> ModuleType:
+    """``drjit.llvm`` or ``drjit.cuda``, holding Float64, UInt64 and so on."""
+    import drjit.cuda
+    import drjit.llvm
+
+    variant = mi.variant() or DEFAULT_VARIANT
+    return drjit.cuda if variant.startswith("cuda") else drjit.llvm
+
+
+def opaque(value: float):
+    """A number as a Float64 that kernels read from memory, so that another value needs no new kernel."""
+    import drjit as dr
+
+    return dr.opaque(arrays().Float64, float(value))
+
+
+def opaque_vector(vector):
+    """A vector (3,) as an Array3f64 that kernels read from memory."""
+    lanes = arrays()
+    return lanes.Array3f64(*(opaque(component) for component in vector))

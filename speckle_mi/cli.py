@@ -1,0 +1,111 @@
+"""What the commands share: flags, loading a scene, and errors as one line with an exit status."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Sequence
+
+DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+
+
+def command(main: Callable[[Sequence[str] | None], int | None], arguments: Sequence[str] | None = None) -> int:
+    """Runs a command's ``main`` and returns its exit status.
+
+    Bad input (ValueError, OSError, and Mitsuba's RuntimeError) becomes one line on stderr and status 2,
+    an interrupt status 130. With ``--debug`` the traceback is shown as well.
+    """
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        return main(arguments) or DONE
+    except KeyboardInterrupt:
+        print("interrupted: what is finished has been kept", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has gone; nothing more can be said on it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except (ValueError, OSError, RuntimeError, MemoryError) as error:
+        if "--debug" in arguments:
+            traceback.print_exc()
+        print(f"error: {one_line(error)}", file=sys.stderr)
+        return BAD_INPUT
+
+
+def parser(name: str, description: str) -> argparse.ArgumentParser:
+    """Parser for ``python -m speckle_mi.<name>`` with the flags that every command knows."""
+    made = argparse.ArgumentParser(prog=f"python -m speckle_mi.{name}", description=description, allow_abbrev=False)
+    made.add_argument("--quiet", action="store_true", help="print errors only")
+    made.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return made
+
+
+def scene_parser(name: str, description: str) -> argparse.ArgumentParser:
+    """:func:`parser` for commands that take a scene."""
+    from .backend import DEFAULT_VARIANT
+
+    made = parser(name, description)
+    made.add_argument("scene", metavar="SCENE", help="Mitsuba XML scene file")
+    made.add_argument(
+        "-D", dest="defaults", metavar="NAME=VALUE", action="append", default=[],
+        help="value of a <default> of the scene (may be repeated)",
+    )
+    made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
+    return made
+
+
+def load_scene(path: str, defaults: Sequence[str], variant: str):
+    """Loads a scene file under a variant; ``defaults`` are ``name=value`` texts. Raises ValueError, RuntimeError."""
+    import mitsuba as mi
+
+    from .backend import set_variant
+
+    if not os.path.isfile(path):
+        raise FileNotFoundError(f"{path}: there is no such scene file")
+    set_variant(variant)
+    values = {}
+    for text in defaults:
+        name, separator, value = text.partition("=")
+        if not separator or not name:
+            raise ValueError(f"-D {text!r}: must be name=value")
+        values[name] = value
+    with open(path, encoding="utf-8", errors="replace") as file:
+        known = set(re.findall(r"<default\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']", file.read()))
+    for name in values:
+        if name not in known:
+            raise ValueError(f"-D {name}: the scene has no such <default>, must be one of {', '.join(sorted(known)) or '(none)'}")
+    # Mitsuba warns that a monochrome variant makes films monochrome, which is what is wanted here.
+    mi.set_log_level(mi.LogLevel.Error)
+    return mi.load_file(path, **values)
+
+
+def say(arguments: argparse.Namespace, text: str) -> None:
+    """Prints a line unless the user asked for quiet."""
+    if not arguments.quiet:
+        print(text, flush=True)
+
+
+def one_line(error: BaseException) -> str:
+    """An error's message in one line, with Mitsuba's location of the fault but without the traceback it wraps."""
+    if isinstance(error, MemoryError):
+        return f"out of memory: {error}" if str(error) else "out of memory"
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        return f"{error.filename}: {error.strerror.lower()}"
+    text = str(error).strip()
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if not lines:
+        return type(error).__name__
+    if "Traceback" not in text and len(lines) == 1:
+        return re.sub(r"^\[\w+\.cpp:\d+\]\s*", "", lines[0])
+    place = re.search(r"(At [^:]*?\(line \d+, col \d+\)|While loading \S+ \(near line \d+, col \d+\))", text)
+    reason = re.sub(r"^(\w+\.)*\w*Error: ", "", lines[-1])
+    return f"{place.group(1)}: {reason}" if place else reason
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt

@@ -1,0 +1,1 @@
+"""Geometrical optics of the way from target to detector: surfaces, exact tracing, ray aiming, interpolated paths."""

@@ -1,0 +1,247 @@
+"""Exact sequential ray tracing in float64: hit points, directions, optical path lengths, clearances of rims.
+
+All rays advance together, one interaction at a time, in the local frame of each surface. A ray may carry tangents, the derivatives of
+its position and direction along some parameters; they are propagated by the exact linearisation of transfer, refraction and reflection
+(ray differentials; H. Igehy, "Tracing ray differentials", SIGGRAPH 1999, doi:10.1145/311535.311555).
+
+State of n rays with T tangents: (3, 2 + 2T, n) = position, unit direction, T position tangents, T direction tangents.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from speckle_mi.optics.surfaces import Interaction, Sequence, _dot
+
+BEHIND_TOLERANCE = 1e-9
+"""A surface this far behind the ray's start [mm] still counts as met: a source may lie on it, rounded."""
+
+
+class RayStatus(IntEnum):
+    """What became of a ray. Beyond MISSED and TOTAL_INTERNAL_REFLECTION there is no ray, its results are NaN."""
+
+    OK = 0
+    OUTSIDE_OUTLINE = 1
+    """Crossed a surface beyond its rim; followed all the same, as if the surface went on."""
+    BEHIND = 2
+    """The next surface lies behind the ray: the order of surfaces, or the root, is not this ray's."""
+    MISSED = 3
+    TOTAL_INTERNAL_REFLECTION = 4
+    NOT_CONVERGED = 5
+    """Aiming found no ray through the target."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """Result of ``trace`` for n rays through s interactions.
+
+    points: (s, n, 3) hit points, world [mm]; directions: (n, 3) unit, after the last interaction;
+    optical_path_length: (n,) sum of index times length, from the origin to the last surface [mm];
+    margins: (r, n) smooth signed clearance of the rims listed in ``Sequence.rims``, > 0 inside; no row where a surface has no outline;
+    status: (n,) RayStatus codes, the worst that happened; stopped_at: (n,) the interaction where it first did, -1 if nothing.
+    """
+
+    points: np.ndarray
+    directions: np.ndarray
+    optical_path_length: np.ndarray
+    margins: np.ndarray
+    status: np.ndarray
+    stopped_at: np.ndarray
+
+    @property
+    def valid(self) -> np.ndarray:
+        """(n,) rays that met every surface inside its outline."""
+        return self.status == RayStatus.OK
+
+
+@dataclass
+class Step:
+    """One interaction of ``march``, in the local frame of its surface.
+
+    state: the rays after the interaction; length: (n,) [mm] from the interaction before; reflected_totally: (n,) or None; tube: the
+    three coefficients (n,) of the ray tube's cross section on the way in, see ``march``, or None.
+    """
+
+    interaction: Interaction
+    state: np.ndarray
+    length: np.ndarray
+    reflected_totally: np.ndarray | None
+    tube: tuple[np.ndarray, np.ndarray, np.ndarray] | None
+
+
+def trace(sequence: Sequence, origins: np.ndarray, directions: np.ndarray) -> Trace:
+    """Follow rays from ``origins`` (n, 3) [mm] along ``directions`` (n, 3) (any length) through ``sequence``.
+
+    Rays outside an outline go on as if there were none. Raises ValueError for shapes that do not fit or a direction of length zero.
+    """
+    origins, directions = _paired(origins, directions, "origins", "directions")
+    norm = np.linalg.norm(directions, axis=1, keepdims=True)
+    if not np.all(norm > 0.0):
+        raise ValueError("directions: every ray needs a direction of non-zero, finite length")
+    state = np.stack([origins.T, (directions / norm).T], axis=1)
+    log = Log(origins.shape[0])
+    points = []
+    for step in march(sequence, state):
+        log.add(step)
+        points.append(step.interaction.surface.frame.to_world(step.state[:, 0].T))
+    final = step.state[:, 1].T @ sequence.last.surface.frame.axes.T
+    return Trace(np.stack(points), final, log.optical_path_length, log.stacked_margins(), log.status, log.stopped_at)
+
+
+class Log:
+    """Path length, margins and status of n rays, gathered step by step."""
+
+    def __init__(self, n: int) -> None:
+        self.optical_path_length = np.zeros(n)
+        self.margins: list[np.ndarray] = []
+        self.status = np.zeros(n, dtype=np.int8)
+        self.stopped_at = np.full(n, -1, dtype=np.int16)
+        self._index = 0
+
+    def add(self, step: Step) -> None:
+        self.optical_path_length += step.interaction.index_before * step.length
+        x, y, _ = step.state[:, 0]
+        outline = step.interaction.surface.outline
+        if outline:
+            margins = outline.margins(x, y)
+            self.margins.append(margins)
+            self._note(np.any(margins < 0.0, axis=0), RayStatus.OUTSIDE_OUTLINE)
+        self._note(step.length < -BEHIND_TOLERANCE, RayStatus.BEHIND)
+        self._note(~np.isfinite(step.length), RayStatus.MISSED)
+        if step.reflected_totally is not None:
+            self._note(step.reflected_totally, RayStatus.TOTAL_INTERNAL_REFLECTION)
+        self._index += 1
+
+    def stacked_margins(self) -> np.ndarray:
+        """(r, n)."""
+        return np.concatenate(self.margins) if self.margins else np.empty((0, self.status.size))
+
+    def _note(self, where: np.ndarray, status: RayStatus) -> None:
+        # A ray that has ended is NaN from there on; what ended it stays its reason, having the higher code or the earlier place.
+        where = where & (self.status < status)
+        self.status[where] = status
+        self.stopped_at[where] = self._index
+
+
+def march(sequence: Sequence, state: np.ndarray, tubes: bool = False) -> Iterator[Step]:
+    """Take ``state`` (3, 2 + 2T, n), world coordinates, through the interactions, one ``Step`` each.
+
+    tubes (T = 2): also give the cross section of the ray tube spanned by the two tangents on the segment before each
+    interaction, d . (q1 x q2) = a0 + a1 t + a2 t^2 at length t from its start, as (a0, a1, a2).
+    """
+    axes, origin = np.eye(3), np.zeros(3)
+    count = (state.shape[1] - 2) // 2
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        for interaction in sequence.interactions:
+            frame = interaction.surface.frame
+            state = _change_frame(state, frame.axes.T @ axes, frame.axes.T @ (origin - frame.origin))
+            axes, origin = frame.axes, frame.origin
+            tube = _tube(state) if tubes else None
+            length, normal, normal_tangents = _transfer(interaction, state, count)
+            total = None
+            if interaction.action == "refract":
+                total = _refract(interaction, state, count, normal, normal_tangents)
+            elif interaction.action == "reflect":
+                _reflect(state, count, normal, normal_tangents)
+            yield Step(interaction, state, length, total, tube)
+
+
+def _change_frame(state: np.ndarray, rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    """A copy of the state in the next frame. Frames with the same axes are not multiplied, so nothing is rounded."""
+    if np.array_equal(rotation, np.eye(3)):
+        out = state.copy()
+    else:
+        out = (rotation @ state.reshape(3, -1)).reshape(state.shape)
+    out[:, 0] += shift[:, None]
+    return out
+
+
+def _tube(state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    _, d, p1, p2, d1, d2 = np.moveaxis(state, 1, 0)
+    return _triple(d, p1, p2), _triple(d, p1, d2) + _triple(d, d1, p2), _triple(d, d1, d2)
+
+
+def _triple(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    x = b[1] * c[2] - b[2] * c[1]
+    y = b[2] * c[0] - b[0] * c[2]
+    z = b[0] * c[1] - b[1] * c[0]
+    return a[0] * x + a[1] * y + a[2] * z
+
+
+def _transfer(interaction: Interaction, state: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Move the rays onto the surface, in place: lengths (n,), unit normals N (3, n) or (3, 1), their tangents (3, T, n) or None."""
+    surface = interaction.surface
+    direction = state[:, 1]
+    length, state[:, 0] = surface.intersect(state[:, 0], direction, interaction.root)
+    if surface.is_plane:
+        normal = np.array([[0.0], [0.0], [1.0]])
+    else:
+        gradient = surface.gradient(state[:, 0])
+        scale = 1.0 / np.sqrt(_dot(gradient, gradient))
+        normal = gradient * scale
+    if not count:
+        return length, normal, None
+    # The tangent's hit stays on the surface: the length varies by -(N . dp)/(N . d).
+    tangents = state[:, 2 : 2 + count]
+    tangents += length * state[:, 2 + count :]
+    along = tangents[2] if surface.is_plane else _dot(normal[:, None], tangents)
+    incidence = direction[2] if surface.is_plane else _dot(normal, direction)
+    tangents -= direction[:, None] * (along / incidence)
+    if surface.is_plane or interaction.action == "pass":
+        return length, normal, None
+    normal_tangents = (surface.curvature * scale) * tangents
+    normal_tangents[2] *= 1.0 + surface.conic
+    normal_tangents -= normal[:, None] * _dot(normal[:, None], normal_tangents)
+    return length, normal, normal_tangents
+
+
+def _incidence(state: np.ndarray, count: int, normal: np.ndarray, normal_tangents: np.ndarray | None):
+    """u = N . d (n,) and its tangents (T, n)."""
+    direction = state[:, 1]
+    tangents = _dot(normal[:, None], state[:, 2 + count :])
+    if normal_tangents is not None:
+        tangents += _dot(normal_tangents, direction[:, None])
+    return _dot(normal, direction), tangents
+
+
+def _refract(interaction: Interaction, state: np.ndarray, count: int, normal, normal_tangents) -> np.ndarray:
+    """Snell's law d' = eta d + gamma N, in place; returns the mask (n,) of total internal reflection.
+
+    gamma = w - eta u = (1 - eta^2) / (w + eta u), u = N . d, w = sign(u) sqrt(1 - eta^2 + eta^2 u^2): exactly nothing for
+    equal indices.
+    """
+    eta = interaction.index_before / interaction.index_after
+    u, u_tangents = _incidence(state, count, normal, normal_tangents)
+    square = (1.0 - eta) * (1.0 + eta) + (eta * u) ** 2
+    w = np.copysign(np.sqrt(square), u)
+    gamma = (1.0 - eta) * (1.0 + eta) / (w + eta * u)
+    state[:, 1] = eta * state[:, 1] + gamma * normal
+    if count:
+        directions = state[:, 2 + count :]
+        directions *= eta
+        directions -= (eta * gamma / w) * u_tangents * normal[:, None]
+        if normal_tangents is not None:
+            directions += gamma * normal_tangents
+    return square < 0.0
+
+
+def _reflect(state: np.ndarray, count: int, normal: np.ndarray, normal_tangents: np.ndarray | None) -> None:
+    """Law of reflection d' = d - 2 u N, u = N . d, in place."""
+    u, u_tangents = _incidence(state, count, normal, normal_tangents)
+    state[:, 1] -= 2.0 * u * normal
+    if count:
+        state[:, 2 + count :] -= 2.0 * u_tangents * normal[:, None]
+        if normal_tangents is not None:
+            state[:, 2 + count :] -= 2.0 * u * normal_tangents
+
+
+def _paired(one: np.ndarray, two: np.ndarray, name_one: str, name_two: str) -> tuple[np.ndarray, np.ndarray]:
+    """Both as float64 (n, 3), or ValueError."""
+    one, two = np.asarray(one, dtype=np.float64), np.asarray(two, dtype=np.float64)
+    if one.ndim != 2 or one.shape[1] != 3 or one.shape != two.shape:
+        raise ValueError(f"{name_one} {one.shape} and {name_two} {two.shape}: must both be (n, 3), one row a ray")
+    return one, two

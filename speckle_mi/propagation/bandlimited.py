@@ -1,0 +1,303 @@
+"""The field on few nodes: without its common phase it is band-limited by the extent of the sources.
+
+E(D) e^{-ikV(P0, D)} contains along u no spatial frequency beyond max |d/du [V(P, D) - V(P0, D)]|/lambda over the sources P.
+It is sampled on a tensor Chebyshev grid of that bandwidth, interpolated to the pixels by two real matrix products, and
+given its common phase back. The bandwidth is measured on the paths themselves, not on a paraxial estimate.
+Source of the barycentric formula: Berrut & Trefethen, SIAM Review 46 (2004), doi:10.1137/S0036144502417715.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+
+import drjit as dr
+import numpy as np
+from scipy.special import jv
+
+from ..geometry import PlaneGrid, PlanePoints
+from .direct import SINGLE_PRECISION, WRITE, backend, phasor, supports
+from .paths import Path
+
+PROBES = 17
+"""Places along each side of the target where the local bandwidth is measured."""
+
+BANDWIDTH_MARGIN = 1.02
+"""Covers what the secants between probes miss of the steepest slope."""
+
+PIXELS_AT_ONCE = 1 << 22
+"""Pixels interpolated at once: bounds the memory beyond the result at 128 MB."""
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Part of the target's plane, a[0]..a[1] along u and b[0]..b[1] along v [mm]."""
+
+    a: tuple[float, float]
+    b: tuple[float, float]
+
+    @classmethod
+    def around(cls, target: PlaneGrid | PlanePoints) -> Rectangle:
+        if isinstance(target, PlaneGrid):
+            return cls((0.0, float(target.columns[-1])), (0.0, float(target.rows[-1])))
+        return cls((float(target.a.min()), float(target.a.max())), (float(target.b.min()), float(target.b.max())))
+
+
+@lru_cache(maxsize=64)
+def chebyshev_nodes(count: int) -> np.ndarray:
+    """(count,) Chebyshev points of the first kind on [-1, 1], ascending."""
+    return -np.cos((np.arange(count) + 0.5) * np.pi / count)
+
+
+def interpolation_matrix(count: int, places: np.ndarray) -> np.ndarray:
+    """(m, count) matrix from values at ``chebyshev_nodes(count)`` to the places (m,) in [-1, 1], barycentric."""
+    if count == 1:
+        return np.ones((len(places), 1))
+    nodes = chebyshev_nodes(count)
+    signs = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin((np.arange(count) + 0.5) * np.pi / count)
+    difference = places[:, None] - nodes
+    row, column = np.nonzero(difference == 0.0)
+    difference[row, column] = 1.0
+    matrix = signs / difference
+    matrix /= matrix.sum(axis=1, keepdims=True)
+    matrix[row] = 0.0
+    matrix[row, column] = 1.0
+    return matrix
+
+
+@lru_cache(maxsize=16)
+def _regular_matrix(count: int, pixels: int, double: bool) -> np.ndarray:
+    """Interpolation matrix (pixels, count) to pixels evenly spaced from end to end, kept for the frames of a sweep."""
+    matrix = interpolation_matrix(count, np.linspace(-1.0, 1.0, pixels) if pixels > 1 else np.zeros(1))
+    return matrix if double else matrix.astype(np.float32)
+
+
+@lru_cache(maxsize=256)
+def nodes_for(half_turns: float, tolerance: float) -> int:
+    """Chebyshev nodes that carry every e^{2 pi i s x}, |s| <= ``half_turns``, |x| <= 1, to ``tolerance``.
+
+    The Chebyshev coefficients of a plane wave are 2 i^n J_n(2 pi s): the sum of those left out bounds the error.
+    """
+    bandwidth = 2 * np.pi * half_turns
+    order = np.arange(int(bandwidth + 12 * bandwidth ** (1 / 3) + 60))
+    tail = np.cumsum(2 * np.abs(jv(order, bandwidth))[::-1])[::-1]
+    # Two nodes more for the amplitude, which varies slowly but varies.
+    return int(np.argmax(tail < tolerance)) + 2
+
+
+def source_box(sources: np.ndarray) -> np.ndarray:
+    """Centre and the eight corners (9, 3) [mm] of a box around the sources, flat where the sources are flat."""
+    some = sources[:: max(1, len(sources) // 4096)]
+    middle = some.mean(axis=0)
+    axes = np.linalg.svd(some - middle, full_matrices=False)[2] if len(some) > 2 else np.eye(3)
+    return _box_corners(sources, np.vstack([axes, np.eye(3)[len(axes) :]]) if len(axes) < 3 else axes)
+
+
+def _box_corners(sources: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    along = sources @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    corners = [[(low, high)[pick][axis] for axis, pick in enumerate(picks)] for picks in product((0, 1), repeat=3)]
+    return np.vstack([(low + high) / 2, corners]) @ axes
+
+
+def local_bandwidth(
+    path: Path, box: np.ndarray, target: PlaneGrid | PlanePoints, rectangle: Rectangle, wavelength: float
+) -> tuple[float, float]:
+    """Largest |d/du [V(P, D) - V(P0, D)]|/lambda and the same along v [turns/mm], P0 = box[0], P in box[1:]."""
+    a = np.linspace(*rectangle.a, PROBES)
+    b = np.linspace(*rectangle.b, PROBES)
+    grid_b, grid_a = np.meshgrid(b, a, indexing="ij")
+    places = PlanePoints(target.origin, target.u, target.v, grid_a.ravel(), grid_b.ravel()).points()
+    length = path(box, places)[0].reshape(len(box), PROBES, PROBES)
+    turns = (length[1:] - length[0]) / wavelength
+    return tuple(
+        BANDWIDTH_MARGIN * float(np.abs(np.diff(turns, axis=axis)).max()) / step if (step := side[1] - side[0]) > 0 else 0.0
+        for side, axis in ((a, 2), (b, 1))
+    )
+
+
+@dataclass(frozen=True)
+class NodeGrid:
+    """Tensor Chebyshev nodes on a rectangle of the target, ``count`` = (along u, along v)."""
+
+    count: tuple[int, int]
+    rectangle: Rectangle
+
+    @property
+    def size(self) -> int:
+        return self.count[0] * self.count[1]
+
+    def points(self, target: PlaneGrid | PlanePoints) -> PlanePoints:
+        """The nodes, v-major."""
+        a, b = (
+            (side[0] + side[1]) / 2 + (side[1] - side[0]) / 2 * chebyshev_nodes(count)
+            for side, count in zip((self.rectangle.a, self.rectangle.b), self.count, strict=True)
+        )
+        grid_b, grid_a = np.meshgrid(b, a, indexing="ij")
+        return PlanePoints(target.origin, target.u, target.v, grid_a.ravel(), grid_b.ravel())
+
+
+def node_grid(
+    path: Path, box: np.ndarray, target: PlaneGrid | PlanePoints, wavelength: float, tolerance: float
+) -> NodeGrid:
+    """Nodes that carry the field of sources within ``box`` to the relative L2 ``tolerance``."""
+    rectangle = Rectangle.around(target)
+    bandwidth = local_bandwidth(path, box, target, rectangle, wavelength)
+    count = tuple(
+        nodes_for(_upward(rate * (side[1] - side[0]) / 2), tolerance / 4) if side[1] > side[0] else 1
+        for rate, side in zip(bandwidth, (rectangle.a, rectangle.b), strict=True)
+    )
+    return NodeGrid(count, rectangle)
+
+
+def _upward(turns: float) -> float:
+    """Rounded up by at most 3%: the frames of a sweep, whose boxes differ a little, then share their matrices."""
+    return float(np.exp(np.ceil(np.log(max(turns, 1e-3)) / 0.03) * 0.03))
+
+
+def band_limited_sum(
+    evaluate: Callable[[PlanePoints], np.ndarray],
+    path: Path,
+    reference: np.ndarray,
+    nodes: NodeGrid,
+    target: PlaneGrid | PlanePoints,
+    wavelength: float,
+    tolerance: float,
+) -> np.ndarray:
+    """Field on the target, complex128 of its shape, from the field that ``evaluate`` gives on the nodes.
+
+    reference: (3,) the point P0 whose phase is the common one, as given to ``node_grid`` (box[0]).
+    """
+    double = tolerance < 4 * SINGLE_PRECISION
+    places = nodes.points(target)
+    at_nodes = evaluate(places) * np.conj(_common_phasor(path, reference, places.points(), wavelength))
+    values = at_nodes.reshape(nodes.count[1], nodes.count[0])
+    scale = float(np.abs(values).max()) or 1.0
+    # (nodes v, 2, nodes u): real and imaginary parts side by side, so that the matrices stay real.
+    parts = np.stack([values.real, values.imag], axis=1) / scale
+    if not double:
+        parts = parts.astype(np.float32)
+    if isinstance(target, PlaneGrid):
+        return _interpolate_grid(parts, path, reference, nodes, target, wavelength, scale)
+    return _interpolate_points(parts, path, reference, nodes, target, wavelength, scale)
+
+
+def _common_phasor(path: Path, reference: np.ndarray, places: np.ndarray, wavelength: float) -> np.ndarray:
+    turns = path(reference[None], places)[0][0] / wavelength
+    return np.exp(2j * np.pi * (turns - np.round(turns)))
+
+
+def _interpolate_grid(
+    parts: np.ndarray,
+    path: Path,
+    reference: np.ndarray,
+    nodes: NodeGrid,
+    grid: PlaneGrid,
+    wavelength: float,
+    scale: float,
+) -> np.ndarray:
+    rows, columns = grid.shape
+    double = parts.dtype == np.float64
+    along_u = _regular_matrix(nodes.count[0], columns, double)
+    along_v = _regular_matrix(nodes.count[1], rows, double)
+    flat = parts.reshape(nodes.count[1], -1)
+    turns = None if supports(path) else _smooth_turns(path, reference, nodes, grid, wavelength)
+    step = max(1, PIXELS_AT_ONCE // columns)
+    field = np.empty(grid.shape, dtype=np.complex128) if rows > step else None
+    for row in range(0, rows, step):
+        chunk = slice(row, min(row + step, rows))
+        smooth = (along_v[chunk] @ flat).reshape(-1, nodes.count[0]) @ along_u.T
+        part = _with_common_phase(smooth, None if turns is None else turns(chunk), reference, grid, row, wavelength, scale)
+        if field is None:
+            return part
+        field[chunk] = part
+    return field
+
+
+def _with_common_phase(
+    smooth: np.ndarray,
+    turns: np.ndarray | None,
+    reference: np.ndarray,
+    grid: PlaneGrid,
+    first_row: int,
+    wavelength: float,
+    scale: float,
+) -> np.ndarray:
+    """``smooth`` (rows, 2, columns) real times e^{ikV(P0, D)}: V the distance, or the given turns (rows, columns)."""
+    ad = backend()
+    columns = grid.shape[1]
+    count = smooth.size // 2
+    real, pair = (ad.Float64, ad.Array2f64) if smooth.dtype == np.float64 else (ad.Float32, ad.Array2f)
+    column_count = dr.opaque(ad.UInt32, columns)
+    index = dr.arange(ad.UInt32, count)
+    row = index // column_count
+    column = index - row * column_count
+    if turns is None:
+        offset = (grid.origin - reference) / wavelength
+        pitch = grid.pitch / wavelength
+        origin = (offset @ grid.u, offset @ grid.v + first_row * pitch, (offset @ grid.normal) ** 2)
+        x, y, z_squared, opaque_pitch = (dr.opaque(ad.Float64, float(value)) for value in (*origin, pitch))
+        dx, dy = dr.fma(ad.Float64(column), opaque_pitch, x), dr.fma(ad.Float64(row), opaque_pitch, y)
+        total = dr.sqrt(dr.fma(dx, dx, dr.fma(dy, dy, z_squared)))
+    else:
+        total = ad.Float64(turns.ravel())
+    cosine, sine = phasor(total, real)
+    data = real(smooth.ravel())
+    place = (row + row) * column_count + column
+    re, im = dr.gather(real, data, place), dr.gather(real, data, place + column_count)
+    factor = dr.opaque(ad.Float64, scale)
+    value = pair(re * cosine - im * sine, re * sine + im * cosine)
+    out = dr.empty(ad.Float64, 2 * count)
+    dr.scatter(out, ad.Array2f64(value) * factor, index, mode=WRITE)
+    return out.numpy().view(np.complex128).reshape(-1, columns)
+
+
+def _smooth_turns(
+    path: Path, reference: np.ndarray, nodes: NodeGrid, grid: PlaneGrid, wavelength: float
+) -> Callable[[slice], np.ndarray]:
+    """V(P0, D)/lambda on rows of the grid for a path without closed form, from its values on Chebyshev nodes."""
+    count = 24
+    coarse = NodeGrid((count, count), nodes.rectangle)
+    values = path(reference[None], coarse.points(grid).points())[0].reshape(count, count) / wavelength
+    along_u = _regular_matrix(count, grid.shape[1], True)
+    along_v = _regular_matrix(count, grid.shape[0], True)
+    middle = values.mean()
+    return lambda rows: along_v[rows] @ (values - middle) @ along_u.T + (middle - np.round(middle))
+
+
+def _interpolate_points(
+    parts: np.ndarray,
+    path: Path,
+    reference: np.ndarray,
+    nodes: NodeGrid,
+    target: PlanePoints,
+    wavelength: float,
+    scale: float,
+) -> np.ndarray:
+    field = np.empty(target.size, dtype=np.complex128)
+    flat = parts.reshape(nodes.count[1], -1)
+    step = max(1, PIXELS_AT_ONCE // (2 * nodes.count[0]))
+    for first in range(0, target.size, step):
+        chunk = slice(first, first + step)
+        along_u, along_v = (
+            interpolation_matrix(count, _normalised(values[chunk], side)).astype(parts.dtype)
+            for count, values, side in (
+                (nodes.count[0], target.a, nodes.rectangle.a),
+                (nodes.count[1], target.b, nodes.rectangle.b),
+            )
+        )
+        rows = (along_v @ flat).reshape(-1, 2, nodes.count[0])
+        smooth = np.einsum("mpu,mu->mp", rows, along_u)
+        some = PlanePoints(target.origin, target.u, target.v, target.a[chunk], target.b[chunk])
+        common = _common_phasor(path, reference, some.points(), wavelength)
+        field[chunk] = scale * (smooth[:, 0] + 1j * smooth[:, 1]) * common
+    return field
+
+
+def _normalised(values: np.ndarray, side: tuple[float, float]) -> np.ndarray:
+    """Coordinates on [-1, 1] of a side of the rectangle."""
+    if side[1] == side[0]:
+        return np.zeros_like(values)
+    return np.clip((2 * values - side[0] - side[1]) / (side[1] - side[0]), -1.0, 1.0)

@@ -1,0 +1,422 @@
+"""The exact coherent sum for closed-form paths, as Dr.Jit kernels for CPU (LLVM) and GPU (CUDA).
+
+Everything inside is in the target plane's own coordinates and in units of the wavelength, so that a path length *is* a
+phase in turns. It is formed in float64 and reduced to the nearest turn before it becomes a float32 angle: a float32
+path of 0.1 m would carry 0.1 rad of error. Sums are float32 over blocks of 32 sources, float64 over blocks.
+
+Two kernels:
+
+- *points*: any points of the plane. One float64 path for each pair.
+- *runs*: a regular grid. A lane owns a run of pixels along a row. One float64 path for each source and run centre; along the run the
+  logarithm of the summand is a cubic in the pixel index, and a cubic's exponential needs three complex products a pixel
+  (forward differences). The remainder is bounded beforehand; where the bound fails the shorter run or *points* is taken.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import ModuleType
+
+import drjit as dr
+import numpy as np
+
+from ..geometry import PlaneGrid, PlanePoints
+from .paths import FreeSpace, RayleighSommerfeld
+
+BLOCK = 32
+"""Sources summed in float32 before the float64 accumulator takes over; sources are padded to a multiple."""
+
+RUN_LENGTHS = (16, 8)
+"""Pixels a lane owns along a row, preferred first (even numbers)."""
+
+POINTS_PER_LANE = 4
+"""Scattered points a lane owns: shares one gather of the source's data."""
+
+SINGLE_PRECISION = 1e-6
+"""Relative L2 error that float32 phasors and weights keep."""
+
+RUN_TOLERANCE = 3e-7
+"""Largest relative L2 remainder of the cubic along a run; keeps the whole field within 1e-6."""
+
+LANES_AT_ONCE = 1 << 19
+"""Lanes per kernel launch: bounds the device memory at 16 x 16 bytes a lane, 128 MB."""
+
+MINIMUM_LANES = 1 << 10
+"""With fewer lanes of targets than this the sources are split over lanes, so that all cores have work."""
+
+WRITE = dr.ReduceMode.NoConflicts
+"""Every pixel is written once. Saying so lets Dr.Jit fuse the writes of a run into one kernel instead of one each."""
+
+# Chebyshev fits on |y| <= 1/4 in powers of y^2 of sin(2 pi y)/y and cos(2 pi y): float32 to 7e-9 and 5e-8, float64 to 3e-16.
+SINE = (6.283185280261414, -41.34168066806317, 81.60248074286561, -76.58128455932848, 39.76072207550286)
+COSINE = (0.9999999532476083, -19.739171322478587, 64.93458164580154, -85.24010035716833, 56.24054044094336)
+SINE_64 = (6.283185307179586, -41.341702240399755, 81.60524927607362, -76.70585975282509, 42.05869392543926,
+           -15.094641676478926, 3.8199281010531383, -0.7177338593450135, 0.10089722381061697)  # fmt: skip
+COSINE_64 = (1.0, -19.739208802178705, 64.93939402266396, -85.45681720598118, 60.24464131319568,
+             -26.426254067893844, 7.90346251484126, -1.7132186347396439, 0.27194674558121545)  # fmt: skip
+
+
+def supports(path: object) -> bool:
+    """Whether the path has a closed form that the kernels know."""
+    return isinstance(path, (FreeSpace, RayleighSommerfeld))
+
+
+def backend() -> ModuleType:
+    """The Dr.Jit backend of the active Mitsuba variant: ``drjit.cuda`` for CUDA variants, else ``drjit.llvm``."""
+    import mitsuba
+
+    if (mitsuba.variant() or "").startswith("cuda"):
+        import drjit.cuda as module
+    else:
+        import drjit.llvm as module
+    return module
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Box of the sources in the target plane's coordinates: low, high (3,) [mm] along u, v, normal."""
+
+    low: np.ndarray
+    high: np.ndarray
+
+    def distance_to(self, a: tuple[float, float], b: tuple[float, float]) -> float:
+        """Smallest distance [mm] from the box to the rectangle a[0]..a[1] x b[0]..b[1] of the plane."""
+        gaps = [
+            max(0.0, self.low[0] - a[1], a[0] - self.high[0]),
+            max(0.0, self.low[1] - b[1], b[0] - self.high[1]),
+            max(0.0, self.low[2], -self.high[2]),
+        ]
+        return float(np.linalg.norm(gaps))
+
+
+def run_remainder(distance: float, half_run: float, wavelength: float, obliquity: float) -> float:
+    """Relative L2 error of the cubic along runs of ``2 half_run`` [mm] at least ``distance`` [mm] from every source.
+
+    Phase: the fourth-order term of the distance, k s^4/(8 r^3) at most; amplitude: the fourth of its logarithm, at most
+    2 (s/r)^4 for 1/r^2 and (s/q)^4/4 for the obliquity's numerator, q [mm] its smallest value per unit slope.
+    Root mean squares over the run, with the geometric series of the higher orders.
+    """
+    if not distance > 2 * half_run:
+        return np.inf
+    ratio = half_run / distance
+    phase = 2 * np.pi / wavelength * half_run * ratio**3 / 8
+    amplitude = 2 * ratio**4
+    if obliquity < np.inf:
+        if not obliquity > 2 * half_run:
+            return np.inf
+        amplitude += (half_run / obliquity) ** 4 / 2
+    return (phase + amplitude) / 3 / (1 - ratio)
+
+
+def _sine_cosine(y, sine_powers: tuple, cosine_powers: tuple):
+    """sin and cos of 2 pi y for |y| <= 1/4."""
+    z = y * y
+    sine, cosine = type(y)(sine_powers[-1]), type(y)(cosine_powers[-1])
+    for s, c in zip(sine_powers[-2::-1], cosine_powers[-2::-1], strict=True):
+        sine, cosine = dr.fma(sine, z, s), dr.fma(cosine, z, c)
+    return sine * y, cosine
+
+
+def phasor(turns, real):
+    """cos and sin of 2 pi ``turns`` (float64 of any size), in ``real``, a Dr.Jit float type."""
+    x = real(turns - dr.round(turns))
+    # |x| <= 1/2: cos(2 pi x) = sin(2 pi y), sin(2 pi x) = sign(x) cos(2 pi y), y = 1/4 - |x|.
+    powers = (SINE_64, COSINE_64) if dr.type_v(real) == dr.VarType.Float64 else (SINE, COSINE)
+    sine, cosine = _sine_cosine(0.25 - dr.abs(x), *powers)
+    return sine, dr.copysign(cosine, x)
+
+
+def _multiply(a, b):
+    """Complex product of (re, im) pairs."""
+    return dr.fma(a[0], b[0], -(a[1] * b[1])), dr.fma(a[0], b[1], a[1] * b[0])
+
+
+@dataclass(frozen=True)
+class _Sources:
+    """Sources on the device, in the target's coordinates [wavelengths], padded with zero weights to whole blocks."""
+
+    place: object  # float64, four a source: x, y, z^2, z
+    weight: object  # float32 or float64, two a source: re, im, scaled to 1 at most
+    blocks: int
+    normal: object  # None in free space, else three opaque float64: the opening's normal in the target's coordinates
+
+    @classmethod
+    def upload(
+        cls, ad: ModuleType, local: np.ndarray, weights: np.ndarray, normal: np.ndarray | None, double: bool
+    ) -> _Sources:
+        blocks = -(-len(local) // BLOCK)
+        place = np.empty((blocks * BLOCK, 4))
+        place[: len(local), :2] = local[:, :2]
+        place[: len(local), 2] = local[:, 2] ** 2
+        place[: len(local), 3] = local[:, 2]
+        place[len(local) :] = place[0]
+        weight = np.zeros(blocks * BLOCK, dtype=np.complex128 if double else np.complex64)
+        weight[: len(local)] = weights
+        opaque_normal = None if normal is None else [dr.opaque(ad.Float64, value) for value in normal]
+        parts = ad.Float64(weight.view(np.float64)) if double else ad.Float32(weight.view(np.float32))
+        return cls(ad.Float64(place.ravel()), parts, blocks, opaque_normal)
+
+    @property
+    def real(self) -> type:
+        """Dr.Jit type of phasors and partial sums."""
+        return type(self.weight)
+
+
+def _sum_over_sources(ad: ModuleType, sources: _Sources, first_block, end_block, outputs: int, add):
+    """Two nested symbolic loops: ``add(accumulators, place, weight)`` in float32 over a block, float64 over blocks."""
+
+    pair = ad.Array2f64 if sources.real is ad.Float64 else ad.Array2f
+
+    def over_blocks(block, end, *totals):
+        def over_block(j, stop, *partial):
+            place = dr.gather(ad.Array4f64, sources.place, j)
+            weight = dr.gather(pair, sources.weight, j)
+            return (j + 1, stop, *add(partial, place, weight))
+
+        start = block * BLOCK
+        zeros = [dr.zeros(sources.real, dr.width(block)) for _ in totals]
+        state = dr.while_loop((start, start + BLOCK, *zeros), lambda j, stop, *_: j < stop, over_block)
+        return (block + 1, end, *(t + ad.Float64(p) for t, p in zip(totals, state[2:], strict=True)))
+
+    totals = [dr.zeros(ad.Float64, dr.width(first_block)) for _ in range(outputs)]
+    return dr.while_loop(
+        (first_block, end_block, *totals), lambda block, end, *_: block < end, over_blocks
+    )[2:]
+
+
+def _add_points(ad: ModuleType, sources: _Sources, a: list, b: list):
+    """Adds one source to the points (a, b) [wavelengths]: one float64 path a pair."""
+
+    real = sources.real
+
+    def add(partial, place, weight):
+        x, y, z_squared, z = place
+        sums = list(partial)
+        for i in range(len(a)):
+            dx, dy = a[i] - x, b[i] - y
+            inverse = dr.rsqrt(dr.fma(dx, dx, dr.fma(dy, dy, z_squared)))
+            r = dr.fma(dx, dx, dr.fma(dy, dy, z_squared)) * inverse
+            term = _multiply(weight, phasor(r, real))
+            if sources.normal is None:
+                amplitude = real(inverse)
+            else:
+                slope = dr.fma(sources.normal[0], dx, dr.fma(sources.normal[1], dy, -sources.normal[2] * z))
+                amplitude = real(slope * inverse * inverse)
+                near = real(inverse) * (1 / (2 * np.pi))
+                term = _multiply(term, (1.0, near))
+            sums[2 * i] = dr.fma(amplitude, term[0], sums[2 * i])
+            sums[2 * i + 1] = dr.fma(amplitude, term[1], sums[2 * i + 1])
+        return sums
+
+    return add
+
+
+def _add_run(ad: ModuleType, sources: _Sources, a, b, pitch, run: int):
+    """Adds one source to the ``run`` pixels around (a, b) [wavelengths], pixel i at a + (i - run/2) pitch.
+
+    With t = (D - P).u/r, e = s/r: r(s) = r [1 + t e + (1 - t^2) e^2/2 - t (1 - t^2) e^3/2 + O(e^4)] and
+    ln r(s) = ln r + t e + (1/2 - t^2) e^2 + (4 t^3/3 - t) e^3 + O(e^4). For F_i = f0 + f1 i + f2 i^2 + f3 i^3 the products
+    z' = z w, w' = w q, q' = q p with z = e^F_0, w = e^(F_1 - F_0), q = e^(2 f2 + 6 f3), p = e^(6 f3) step through e^F_i.
+    """
+    half = run // 2
+
+    def exponential_less_one(turns, logarithm):
+        # e^x - 1 for x below 1e-2, and (cos, sin) - 1 by the half angle: nothing cancels, so that float32 steps may be repeated.
+        growth = dr.fma(logarithm * logarithm, 0.5, logarithm)
+        sine, cosine = _sine_cosine(ad.Float32(turns) * 0.5, SINE, COSINE)
+        re, im = -2 * sine * sine, 2 * sine * cosine
+        return dr.fma(re, growth, re + growth), dr.fma(im, growth, im)
+
+    def grow(value, rate):
+        """value (1 + rate), complex."""
+        return (
+            dr.fma(value[0], rate[0], dr.fma(-value[1], rate[1], value[0])),
+            dr.fma(value[0], rate[1], dr.fma(value[1], rate[0], value[1])),
+        )
+
+    def add(partial, place, weight):
+        x, y, z_squared, z = place
+        sums = list(partial)
+        dx, dy = a - x, b - y
+        squared = dr.fma(dx, dx, dr.fma(dy, dy, z_squared))
+        inverse = dr.rsqrt(squared)
+        t = dx * inverse
+        e = pitch * inverse
+        across = dr.fma(-t, t, 1.0)
+        f1 = pitch * t
+        f2 = 0.5 * pitch * e * across
+        f3 = -f2 * e * t
+        # The amplitude's logarithm, in float32: a relative error of 1e-7 in terms of 1e-3.
+        t32, e32 = ad.Float32(t), ad.Float32(e)
+        powers = 1.0 if sources.normal is None else 2.0
+        l1 = -powers * t32 * e32
+        l2 = -powers * e32 * e32 * dr.fma(-t32, t32, 0.5)
+        l3 = -powers * e32 * e32 * e32 * t32 * dr.fma(t32, t32 * (4 / 3), -1.0)
+        if sources.normal is None:
+            centre = _multiply(weight, phasor(squared * inverse, ad.Float32))
+            amplitude = ad.Float32(inverse)
+        else:
+            slope = dr.fma(sources.normal[0], dx, dr.fma(sources.normal[1], dy, -sources.normal[2] * z))
+            amplitude = ad.Float32(slope * inverse * inverse)
+            near = ad.Float32(inverse) * (1 / (2 * np.pi))
+            centre = _multiply(_multiply(weight, phasor(squared * inverse, ad.Float32)), (1.0, near))
+            g = ad.Float32(sources.normal[0] * pitch / slope)
+            l1, l2, l3 = l1 + g, l2 - g * g * 0.5, l3 + g * g * g * (1 / 3)
+            # The near-field factor 1 + i/(kr) turns along the run by -e t/(kr) to first order.
+            f1 = f1 - ad.Float64(near * t32 * e32) * (1 / (2 * np.pi))
+        centre = centre[0] * amplitude, centre[1] * amplitude
+        for direction in (1, -1):
+            odd, odd_log = direction * f3, direction * l3
+            step_turns = direction * f1 + f2 + odd
+            step = grow(phasor(step_turns, ad.Float32), (direction * l1 + l2 + odd_log + 0.5 * l1 * l1, 0.0))
+            change = exponential_less_one(2 * f2 + 6 * odd, 2 * l2 + 6 * odd_log)
+            drift = exponential_less_one(6 * odd, 6 * odd_log)
+            value = centre
+            for i in range(half if direction == 1 else half + 1):
+                if i > 0 or direction == 1:
+                    k = 2 * (half + direction * i)
+                    sums[k], sums[k + 1] = sums[k] + value[0], sums[k + 1] + value[1]
+                value = _multiply(value, step)
+                step = grow(step, change)
+                # (1 + change)(1 + drift) - 1
+                product = _multiply(change, drift)
+                change = change[0] + drift[0] + product[0], change[1] + drift[1] + product[1]
+        return sums
+
+    return add
+
+
+def direct_sum(
+    path: FreeSpace | RayleighSommerfeld,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    target: PlaneGrid | PlanePoints,
+    wavelength: float,
+    tolerance: float = 1e-6,
+) -> np.ndarray:
+    """E_m = sum_j c_j A(P_j, D_m) e^{+ikV(P_j, D_m)} for every pair, complex128 of the target's shape.
+
+    Relative L2 error 1e-6 or better; with a smaller ``tolerance`` everything is float64 (three times slower).
+
+    sources: (n, 3) [mm]; weights c: (n,) complex; wavelength [mm]. Memory beyond the result is bounded.
+    A change of the number of sources or targets, of the geometry or of the wavelength compiles nothing anew.
+    """
+    ad = backend()
+    local = local_coordinates(sources, target)
+    scale = float(np.abs(weights).max(initial=0.0)) or 1.0
+    normal = None
+    factor = scale / wavelength
+    unit_weights = weights / scale
+    if isinstance(path, RayleighSommerfeld):
+        normal = np.array([path.normal @ target.u, path.normal @ target.v, path.normal @ target.normal])
+        factor = scale / wavelength**2
+        unit_weights = unit_weights / 1j
+    double = tolerance < SINGLE_PRECISION
+    device = _Sources.upload(ad, local / wavelength, unit_weights, normal, double)
+    if isinstance(target, PlanePoints):
+        return _points_field(ad, device, target.a / wavelength, target.b / wavelength, factor)
+    extent = Extent(local.min(axis=0), local.max(axis=0))
+    run = None if double else choose_run(extent, target, wavelength, normal)
+    if run is None:
+        rows_at_once = max(1, POINTS_PER_LANE * LANES_AT_ONCE // target.shape[1])
+        field = np.empty(target.shape, dtype=np.complex128)
+        for row in range(0, target.shape[0], rows_at_once):
+            b, a = np.meshgrid(target.rows[row : row + rows_at_once], target.columns, indexing="ij")
+            part = _points_field(ad, device, a.ravel() / wavelength, b.ravel() / wavelength, factor)
+            field[row : row + rows_at_once] = part.reshape(b.shape)
+        return field
+    return _grid_field(ad, device, target, target.pitch / wavelength, run, factor)
+
+
+def local_coordinates(points: np.ndarray, target: PlaneGrid | PlanePoints) -> np.ndarray:
+    """Coordinates (n, 3) [mm] of world points along the target's u, v, normal, from its origin."""
+    return (points - target.origin) @ np.column_stack([target.u, target.v, target.normal])
+
+
+def choose_run(extent: Extent, grid: PlaneGrid, wavelength: float, normal: np.ndarray | None) -> int | None:
+    """Longest allowed run of the grid for sources within ``extent``, or None where every pair needs its own path.
+
+    normal: (3,) of a Rayleigh-Sommerfeld opening in the grid's coordinates, None in free space.
+    """
+    a, b = (0.0, grid.columns[-1]), (0.0, grid.rows[-1])
+    for run in RUN_LENGTHS:
+        half_run = run / 2 * grid.pitch
+        # A run at the end of a row reaches past the grid.
+        wide = (a[0] - 2 * half_run, a[1] + 2 * half_run)
+        obliquity = np.inf
+        if normal is not None and abs(normal[0]) > 1e-12:
+            corners = np.array([[x, y, 0.0] for x in wide for y in b])
+            hull = np.array([[x, y, z] for x in (extent.low[0], extent.high[0]) for y in (extent.low[1], extent.high[1])
+                             for z in (extent.low[2], extent.high[2])])
+            obliquity = max(0.0, float((corners @ normal).min() - (hull @ normal).max())) / abs(normal[0])
+        if run_remainder(extent.distance_to(wide, b), half_run, wavelength, obliquity) <= RUN_TOLERANCE:
+            return run
+    return None
+
+
+def _slices(ad: ModuleType, lanes: int, blocks: int):
+    """How many slices the sources are cut into, and the first and end block of every lane (slice-major)."""
+    slices = min(blocks, max(1, MINIMUM_LANES // lanes))
+    index = dr.arange(ad.UInt32, lanes * slices)
+    lane_count, per_slice = dr.opaque(ad.UInt32, lanes), dr.opaque(ad.UInt32, -(-blocks // slices))
+    number = index // lane_count
+    first = number * per_slice
+    return slices, number, index - number * lane_count, first, dr.minimum(first + per_slice, dr.opaque(ad.UInt32, blocks))
+
+
+def _points_field(ad: ModuleType, sources: _Sources, a: np.ndarray, b: np.ndarray, factor: float) -> np.ndarray:
+    """Field (m,) at points (a, b) [wavelengths]."""
+    field = np.empty(a.size, dtype=np.complex128)
+    step = POINTS_PER_LANE * LANES_AT_ONCE
+    for start in range(0, a.size, step):
+        count = min(step, a.size - start)
+        lanes = -(-count // POINTS_PER_LANE)
+        slices, number, lane, first, end = _slices(ad, lanes, sources.blocks)
+        device_a, device_b = ad.Float64(a[start : start + count]), ad.Float64(b[start : start + count])
+        size, lane_count = dr.opaque(ad.UInt32, count), dr.opaque(ad.UInt32, lanes)
+        places = [dr.minimum(lane + lane_count * i, size - 1) for i in range(POINTS_PER_LANE)]
+        points_a = [dr.gather(ad.Float64, device_a, place) for place in places]
+        points_b = [dr.gather(ad.Float64, device_b, place) for place in places]
+        sums = _sum_over_sources(
+            ad, sources, first, end, 2 * POINTS_PER_LANE, _add_points(ad, sources, points_a, points_b)
+        )
+        out = dr.empty(ad.Float64, 2 * slices * count)
+        scale = dr.opaque(ad.Float64, factor)
+        for i in range(POINTS_PER_LANE):
+            inside = lane + lane_count * i < size
+            value = ad.Array2f64(sums[2 * i] * scale, sums[2 * i + 1] * scale)
+            dr.scatter(out, value, number * size + places[i], inside, mode=WRITE)
+        field[start : start + count] = _host(out).reshape(slices, count).sum(axis=0)
+    return field
+
+
+def _grid_field(
+    ad: ModuleType, sources: _Sources, grid: PlaneGrid, pitch: float, run: int, factor: float
+) -> np.ndarray:
+    """Field (rows, columns) on a grid of ``pitch`` [wavelengths]."""
+    rows, columns = grid.shape
+    runs = -(-columns // run)
+    field = np.empty(grid.shape, dtype=np.complex128)
+    rows_at_once = max(1, LANES_AT_ONCE // runs)
+    column_count, runs_a_row = dr.opaque(ad.UInt32, columns), dr.opaque(ad.UInt32, runs)
+    opaque_pitch, scale = dr.opaque(ad.Float64, pitch), dr.opaque(ad.Float64, factor)
+    for first_row in range(0, rows, rows_at_once):
+        count = min(rows_at_once, rows - first_row)
+        slices, number, lane, first, end = _slices(ad, count * runs, sources.blocks)
+        row = lane // runs_a_row
+        column = (lane - row * runs_a_row) * run
+        a = ad.Float64(column + run // 2) * opaque_pitch
+        b = ad.Float64(row + dr.opaque(ad.UInt32, first_row)) * opaque_pitch
+        sums = _sum_over_sources(ad, sources, first, end, 2 * run, _add_run(ad, sources, a, b, opaque_pitch, run))
+        out = dr.empty(ad.Float64, 2 * slices * count * columns)
+        base = (number * dr.opaque(ad.UInt32, count) + row) * column_count + column
+        for i in range(run):
+            value = ad.Array2f64(sums[2 * i] * scale, sums[2 * i + 1] * scale)
+            dr.scatter(out, value, base + i, column + i < column_count, mode=WRITE)
+        field[first_row : first_row + count] = _host(out).reshape(slices, count, columns).sum(axis=0)
+    return field
+
+
+def _host(interleaved) -> np.ndarray:
+    """Complex128 view of an array of (re, im) pairs on the device."""
+    return np.ascontiguousarray(interleaved.numpy()).view(np.complex128)

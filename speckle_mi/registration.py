@@ -1,0 +1,54 @@
+"""Makes the plugins known to Mitsuba, whichever of the two is imported first and whenever a variant is set."""
+
+from __future__ import annotations
+
+import importlib.abc
+import importlib.machinery
+import sys
+from types import ModuleType
+
+
+def follow_mitsuba() -> None:
+    """Registers the plugins for the active variant and for every variant set later.
+
+    Correlation and theory run without Mitsuba, so it is not imported here: where it is not loaded yet, the
+    registration waits for its import.
+    """
+    if "mitsuba" in sys.modules:
+        _follow_variants(sys.modules["mitsuba"])
+    else:
+        sys.meta_path.insert(0, _AfterMitsuba())
+
+
+def _follow_variants(mitsuba: ModuleType) -> None:
+    mitsuba.detail.add_variant_callback(_on_variant)
+    if mitsuba.variant() is not None:
+        _on_variant(None, mitsuba.variant())
+
+
+def _on_variant(_: str | None, variant: str) -> None:
+    from .backend import is_usable
+
+    if is_usable(variant):
+        from . import plugins
+
+        plugins.register()
+
+
+class _AfterMitsuba(importlib.abc.MetaPathFinder):
+    """Finds Mitsuba as everyone else does, and hooks the registration behind its import."""
+
+    def find_spec(self, name, path=None, target=None):
+        if name != "mitsuba":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.machinery.PathFinder.find_spec(name, path, target)
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def execute_and_follow(module: ModuleType) -> None:
+                execute(module)
+                _follow_variants(module)
+
+            spec.loader.exec_module = execute_and_follow
+        return spec

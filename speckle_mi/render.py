@@ -1,0 +1,78 @@
+"""``python -m speckle_mi.render``: one field image of a scene."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from .cli import command, load_scene, say, scene_parser
+from .files import replacing
+from .geometry import Pose
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = scene_parser("render", "Renders one field image of a scene.")
+    parser.add_argument("-o", "--output", required=True, metavar="F.exr", help="EXR file to write")
+    parser.add_argument("--pose", default="", metavar="x=0.02,ry=0.01", help="displacement of the target (mm, deg)")
+    parser.add_argument("--sources", metavar="F.npz", help="also write what the sum was made of")
+    parser.add_argument("--spp", type=int, default=0, help="sub-pixels a pixel that the intensity is averaged over")
+    options = parser.parse_args(arguments)
+    pose = Pose.parse(options.pose)
+    for path in filter(None, (options.output, options.sources)):
+        require_folder(path)
+
+    scene = load_scene(options.scene, options.defaults, options.variant)
+    from .assembly import assembly_from_scene
+    from .exr import write_field
+    from .simulate import simulate_frame
+
+    assembly = assembly_from_scene(scene, spp=options.spp)
+    start = time.perf_counter()
+    frame = simulate_frame(assembly, pose if options.pose else None)
+    seconds = time.perf_counter() - start
+    write_field(options.output, frame.image)
+    if options.sources:
+        write_sources(options.sources, assembly, frame.scatterers)
+    for line in frame.plan:
+        say(options, f"plan: {line}")
+    for warning in frame.warnings:
+        say(options, f"warning: {warning}")
+    rows, columns = assembly.detector.shape
+    say(options, f"{options.output}: {columns} x {rows} pixels, {frame.scatterers.count} scatterers, {seconds:.3g} s, "
+                 f"numerical error {frame.numerical_error:.1e}")
+
+
+def require_folder(path: str) -> None:
+    """Raises FileNotFoundError when ``path`` cannot be written since its folder does not exist."""
+    folder = Path(path).parent
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{path}: the folder {str(folder)!r} does not exist")
+    if Path(path).is_dir():
+        raise IsADirectoryError(f"{path}: is a folder, must be the name of a file")
+
+
+def write_sources(path: str | os.PathLike, assembly, scatterers) -> None:
+    """Writes position, amplitude and pixel geometry, with which the field can be checked independently.
+
+    In free space without a lobe the field is the sum of ``amplitude * exp(i k r) / r`` over ``position`` exactly.
+    """
+    grid = assembly.detector
+    with replacing(path) as temporary, open(temporary, "wb") as file:
+        np.savez(
+            file,
+            position=scatterers.position,
+            amplitude=scatterers.amplitude,
+            pixel_origin=grid.origin,
+            u=grid.u,
+            v=grid.v,
+            pitch=grid.pitch,
+            wavelength=assembly.beam.wavelength,
+        )
+
+
+if __name__ == "__main__":
+    raise SystemExit(command(main))

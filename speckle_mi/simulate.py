@@ -1,0 +1,138 @@
+"""One field image of an assembly: scatterers, visibility, coherent sum, radiation lobe, pixel average."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from . import __version__
+from .assembly import Assembly
+from .exr import FieldImage
+from .geometry import Frame, PlaneGrid, Pose
+from .lobe import lobe_amplitude
+from .propagation import FreeSpace, coherent_sum
+from .surface import Scatterers, illuminated_points, illuminated_scatterers
+from .visibility import visible_scatterers
+
+
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """What :func:`simulate` found out besides the image.
+
+    scatterers: what was summed; plan: one line a stage, what was done and why; numerical_error: estimated relative
+    L2 error of the field; warnings: one sentence each.
+    """
+
+    image: FieldImage
+    scatterers: Scatterers
+    plan: list[str]
+    numerical_error: float
+    warnings: list[str] = field(default_factory=list)
+
+
+def simulate(assembly: Assembly, pose: Pose | None = None) -> FieldImage:
+    """The field image of ``assembly`` with its target at ``pose`` (default: the pose the scene's target has)."""
+    return simulate_frame(assembly, pose).image
+
+
+def simulate_frame(assembly: Assembly, pose: Pose | None = None) -> SimulatedFrame:
+    """:func:`simulate` with the scatterers, the plan, the estimated error and the warnings."""
+    pose = assembly.pose if pose is None else pose
+    frame = assembly.target.frame.moved(pose)
+    warnings: list[str] = []
+    scatterers = _visible(assembly, frame, _illuminated(assembly, frame), warnings)
+    centre, intensity, plan, error = _detect(assembly, frame, scatterers)
+    image = FieldImage(intensity, centre, _header(assembly, pose, scatterers, plan, error, warnings))
+    return SimulatedFrame(image, scatterers, plan, error, warnings)
+
+
+def _illuminated(assembly: Assembly, frame: Frame) -> Scatterers:
+    target = assembly.target
+    if target.points is not None:
+        return illuminated_points(target.points, assembly.beam, frame)
+    return illuminated_scatterers(target.surface, assembly.beam, frame)
+
+
+def _visible(assembly: Assembly, frame: Frame, lit: Scatterers, warnings: list[str]) -> Scatterers:
+    if lit.count == 0:
+        warnings.append("no light: the beam misses the target at this pose, the field is zero")
+        return lit
+    if assembly.target.points is not None:
+        return lit
+    seen, note = visible_scatterers(assembly, frame, lit)
+    if note:
+        warnings.append(note)
+    return seen
+
+
+def _detect(assembly: Assembly, frame: Frame, scatterers: Scatterers) -> tuple[np.ndarray, np.ndarray, list[str], float]:
+    """Field at the pixel centres, intensity averaged over the pixels, plan and estimated error."""
+    grid, side = assembly.detector, assembly.sub_pixels
+    centre, plan, error = _field(assembly, frame, scatterers, grid)
+    if side == 1:
+        return centre, _intensity(centre), plan, error
+    total = np.zeros(grid.shape)
+    for offset_v in _sub_pixel_offsets(side):
+        for offset_u in _sub_pixel_offsets(side):
+            if offset_u == offset_v == 0:
+                total += _intensity(centre)
+                continue
+            shifted = replace(grid, origin=grid.origin + grid.pitch * (offset_u * grid.u + offset_v * grid.v))
+            values, _, sub_error = _field(assembly, frame, scatterers, shifted)
+            total += _intensity(values)
+            error = max(error, sub_error)
+    plan = [*plan, f"pixels: intensity averaged over {side} x {side} sub-pixels"]
+    return centre, (total / side**2).astype(np.float32), plan, error
+
+
+def _sub_pixel_offsets(side: int) -> np.ndarray:
+    """Centres of ``side`` equal parts of a pixel, in pixels from its centre."""
+    return (np.arange(side) - (side - 1) / 2) / side
+
+
+def _field(assembly: Assembly, frame: Frame, scatterers: Scatterers, grid: PlaneGrid) -> tuple[np.ndarray, list[str], float]:
+    if scatterers.count == 0:
+        return np.zeros(grid.shape, complex), ["free space: no scatterer is lit and seen, nothing is summed"], 0.0
+    options = assembly.options
+    result = coherent_sum(
+        FreeSpace(), scatterers.position, scatterers.amplitude, grid, assembly.beam.wavelength,
+        method=options.method, tolerance=options.tolerance,
+    )
+    values = result.field.reshape(grid.shape)
+    plan = ["free space: nothing stands between target and detector, no ray is launched", f"sum: {result.plan}"]
+    if assembly.target.lobe:
+        values = values * lobe_amplitude(assembly, frame, grid)
+        plan.append("lobe: amplitude follows the target's BSDF")
+    return values, plan, result.numerical_error
+
+
+def _intensity(values: np.ndarray) -> np.ndarray:
+    return (values.real**2 + values.imag**2).astype(np.float32)
+
+
+def _header(
+    assembly: Assembly, pose: Pose, scatterers: Scatterers, plan: list[str], error: float, warnings: list[str]
+) -> dict:
+    grid, frame = assembly.detector, assembly.target.frame
+    return {
+        "wavelength_nm": assembly.beam.wavelength * 1e6,
+        "pixel_pitch_mm": grid.pitch,
+        "pose": str(pose),
+        "seed": assembly.seed,
+        "scene_hash": assembly.fingerprint(),
+        "method": assembly.options.method,
+        "tolerance": assembly.options.tolerance,
+        "phase_sign": "+ikL",
+        "version": __version__,
+        "point_sources": scatterers.count,
+        "numerical_error": error,
+        "plan": "; ".join(plan),
+        "warnings": "; ".join(warnings),
+        "detector_centre_mm": grid.centre.tolist(),
+        "u": grid.u.tolist(),
+        "v": grid.v.tolist(),
+        "target_origin_mm": frame.origin.tolist(),
+        "target_x": frame.axes[:, 0].tolist(),
+        "target_y": frame.axes[:, 1].tolist(),
+    }

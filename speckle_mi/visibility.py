@@ -1,0 +1,86 @@
+"""Which lit scatterers the detector sees: those that face it and that the target itself does not hide."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from .assembly import Assembly
+from .geometry import Frame
+from .surface import Scatterers
+
+_NOTICEABLE = 1e-3
+"""Share of the power above which scatterers that only part of the detector sees are worth a warning."""
+
+
+def visible_scatterers(assembly: Assembly, frame: Frame, lit: Scatterers) -> tuple[Scatterers, str]:
+    """The scatterers that laser and detector's centre both see, and a warning or an empty text.
+
+    A flat patch needs only the sign of an angle. On a mesh, rays towards both test whether the target shades itself.
+    """
+    grid = assembly.detector
+    half_u, half_v = (0.5 * grid.pitch * n for n in (grid.shape[1], grid.shape[0]))
+    corners = [grid.centre + a * half_u * grid.u + b * half_v * grid.v for a in (-1, 1) for b in (-1, 1)]
+    seen = _faces(lit, grid.centre)
+    partly = np.zeros(lit.count, dtype=bool)
+    for corner in corners:
+        partly |= _faces(lit, corner) != seen
+    if not assembly.target.is_flat:
+        free = _unshaded(assembly, frame, lit)
+        seen &= free
+        partly &= free
+    power = np.abs(lit.amplitude) ** 2
+    note = ""
+    if not np.any(seen):
+        note = "no light: the detector sees none of the lit surface at this pose, the field is zero"
+    elif power[partly].sum() > _NOTICEABLE * power[seen].sum():
+        note = "part of the detector lies below the horizon of part of the lit surface: its field is not exact there"
+    return (lit if np.all(seen) else lit.selected(seen)), note
+
+
+def _faces(scatterers: Scatterers, point: np.ndarray) -> np.ndarray:
+    return np.einsum("ij,ij->i", scatterers.normal, point - scatterers.position) > 0
+
+
+def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers) -> np.ndarray:
+    """Whether the way to the laser and to the detector's centre is free of the target's own mesh, (n,) bool.
+
+    The rays are turned into the pose of the mesh in the Mitsuba scene, so that no scene has to be built anew.
+    """
+    target = assembly.target
+    current = target.frame.moved(target.shape.pose())
+    points = current.to_world(frame.to_local(lit.position))
+    normals = lit.normal @ frame.axes @ current.axes.T
+    centre = current.to_world(frame.to_local(assembly.detector.centre[None]))[0]
+    axis = current.axes @ (frame.axes.T @ -assembly.beam.axis)
+    scene = _scene_of(target.shape)
+    size = float(np.max(np.ptp(target.surface.facets.origin, axis=0), initial=0.0))
+    start = points + normals * max(1e-5 * size, 4 * target.surface.roughness)
+    to_detector = centre - start
+    distance = np.linalg.norm(to_detector, axis=1)
+    to_laser = np.broadcast_to(axis, start.shape)
+    reach = np.full(len(start), 10 * size + np.max(distance))
+    return _free(scene, start, to_laser, reach) & _free(scene, start, to_detector / distance[:, None], distance)
+
+
+_target_scenes: dict[int, tuple[mi.Shape, mi.Scene]] = {}
+
+
+def _scene_of(shape: mi.Shape) -> mi.Scene:
+    """A scene with nothing but the target in it."""
+    held = _target_scenes.get(id(shape))
+    if held is None or held[0] is not shape:
+        _target_scenes.clear()
+        _target_scenes[id(shape)] = held = (shape, mi.load_dict({"type": "scene", "target": shape}))
+    return held[1]
+
+
+def _free(scene: mi.Scene, start: np.ndarray, direction: np.ndarray, reach: np.ndarray) -> np.ndarray:
+    rays = mi.Ray3f(
+        o=mi.Point3f(*(mi.Float(column.astype(np.float32)) for column in start.T)),
+        d=mi.Vector3f(*(mi.Float(column.astype(np.float32)) for column in direction.T)),
+        maxt=mi.Float(reach.astype(np.float32)),
+        time=0.0,
+        wavelengths=mi.Color0f(),
+    )
+    return ~np.array(scene.ray_test(rays))
