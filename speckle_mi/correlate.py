@@ -15,7 +15,6 @@ A shift is reported only if its peak is one that unrelated patterns would show o
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 from dataclasses import dataclass
@@ -485,30 +484,31 @@ def compare(reference: np.ndarray, moved: np.ndarray, pitch: float | None, windo
     }
 
 
-def _common_pitch(reference: object, moved: object) -> float | None:
-    """Pixel pitch [mm] in the headers of two field images, None if neither has one."""
-    headers = (reference.header, moved.header)
-    pitches = [float(header["pixel_pitch_mm"]) for header in headers if "pixel_pitch_mm" in header]
-    if len(pitches) == 2 and not math.isclose(*pitches, rel_tol=1e-6):
-        raise ValueError(f"pixel pitches differ: {pitches[0]:g} mm in the reference, {pitches[1]:g} mm in the moved")
-    return pitches[0] if pitches else None
+def _common_pitch(*headers: dict) -> float | None:
+    """Pixel pitch [mm] in the headers of field images, None if none has one. Raises ValueError if they differ."""
+    found = [header["pixel_pitch_mm"] for header in headers if "pixel_pitch_mm" in header]
+    for pitch in found:
+        if not isinstance(pitch, (int, float)) or not 0.0 < pitch < math.inf:
+            raise ValueError(f"pixel_pitch_mm = {pitch!r} in an image's header: must be a positive number")
+    if found and not math.isclose(min(found), max(found), rel_tol=1e-6):
+        raise ValueError(f"the images' pixel pitches differ: {min(found):g} and {max(found):g} mm")
+    return float(found[0]) if found else None
 
 
 def main(argv: list[str] | None = None) -> int:
     """Print the comparison of two field images as one JSON object."""
+    from .cli import parser
     from .exr import read_field
 
-    parser = argparse.ArgumentParser(
-        prog="python -m speckle_mi.correlate",
-        description="Shift of the speckle pattern between two field images, as one JSON object on stdout.",
-    )
-    parser.add_argument("reference", metavar="REF.exr", help="field image before the motion")
-    parser.add_argument("moved", metavar="MOVED.exr", help="field image after the motion")
+    arguments_of = parser("correlate", "Shift of the speckle pattern between two field images, as JSON on stdout.")
+    arguments_of.add_argument("reference", metavar="REF.exr", help="field image before the motion")
+    arguments_of.add_argument("moved", metavar="MOVED.exr", help="field image after the motion")
     window_help = "side of the correlation window (default: 256, less on a small detector)"
-    parser.add_argument("--window", type=int, metavar="PX", help=window_help)
-    arguments = parser.parse_args(argv)
+    arguments_of.add_argument("--window", type=int, metavar="PX", help=window_help)
+    arguments = arguments_of.parse_args(argv)
     reference, moved = read_field(arguments.reference), read_field(arguments.moved)
-    result = compare(reference.intensity, moved.intensity, _common_pitch(reference, moved), arguments.window)
+    pitch = _common_pitch(reference.header, moved.header)
+    result = compare(reference.intensity, moved.intensity, pitch, arguments.window)
     # JSON has no NaN.
     known = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in result.items()}
     print(json.dumps(known, indent=2))

@@ -62,7 +62,7 @@ def read_field(path: str | os.PathLike) -> FieldImage:
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
-            attributes = file.header()
+            attributes = dict(file.header())  # the file empties its own when it is closed
     except Exception as error:  # the reader raises RuntimeError, ValueError and others of its own
         raise FieldImageError(f"{path}: cannot be read, the file is damaged or cut short ({error})") from None
     complex_field = None

@@ -7,7 +7,7 @@ without a display and in any thread. A file appears whole or not at all.
 from __future__ import annotations
 
 import os
-import tempfile
+import secrets
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -280,15 +280,11 @@ def _legend_above(figure: Figure, *axes: Axes, columns: int) -> None:
 def _write(figure: Figure, path: str | os.PathLike) -> None:
     """Write the PNG under another name in the same folder, then rename: readers never see half a file."""
     path = Path(path)
-    handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".png", dir=path.parent)
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.png")
     try:
-        with os.fdopen(handle, "wb") as file:
+        with temporary.open("xb") as file:
             figure.savefig(file, format="png")
-        # mkstemp makes files that only their owner may read; a picture has the ordinary rights.
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
         os.replace(temporary, path)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
         raise

@@ -48,7 +48,8 @@ class _AfterMitsuba(importlib.abc.MetaPathFinder):
 
             def execute_and_follow(module: ModuleType) -> None:
                 execute(module)
-                _follow_variants(module)
+                # Mitsuba puts another object in its place while it is being imported.
+                _follow_variants(sys.modules["mitsuba"])
 
             spec.loader.exec_module = execute_and_follow
         return spec

@@ -116,7 +116,7 @@ def _header(
 ) -> dict:
     grid, frame = assembly.detector, assembly.target.frame
     return {
-        "wavelength_nm": assembly.beam.wavelength * 1e6,
+        "wavelength_nm": round(assembly.beam.wavelength * 1e6, 9),
         "pixel_pitch_mm": grid.pitch,
         "pose": str(pose),
         "seed": assembly.seed,
@@ -125,6 +125,7 @@ def _header(
         "tolerance": assembly.options.tolerance,
         "phase_sign": "+ikL",
         "version": __version__,
+        "software": f"speckle_mi {__version__}",
         "point_sources": scatterers.count,
         "numerical_error": error,
         "plan": "; ".join(plan),

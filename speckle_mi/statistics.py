@@ -125,16 +125,15 @@ def _half_width(profile: np.ndarray) -> float:
 def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
     """Speckle size (u, v) [px]: full width at half maximum of the normalised intensity autocovariance.
 
-    intensity: (rows, columns). NaN along an axis whose covariance does not fall to one half within half the
-    image (too few pixels or too few speckles) and for a constant image. Raises ValueError for pixels that are
+    intensity: (rows, columns). NaN along an axis on which the width exceeds a quarter of the image (there a mere
+    slope of brightness would pass for a speckle) and for a constant image. Raises ValueError for pixels that are
     not finite.
     """
     covariance = autocovariance(intensity)
     rows, columns = (covariance.shape[0] + 1) // 2, (covariance.shape[1] + 1) // 2
-    # Beyond half the image too little overlaps to tell a width from chance.
-    along_u = covariance[rows - 1, columns - 1 : columns + columns // 2]
-    along_v = covariance[rows - 1 : rows + rows // 2, columns - 1]
-    return 2.0 * _half_width(along_u), 2.0 * _half_width(along_v)
+    u = 2.0 * _half_width(covariance[rows - 1, columns - 1 :])
+    v = 2.0 * _half_width(covariance[rows - 1 :, columns - 1])
+    return u if u <= columns / 4 else math.nan, v if v <= rows / 4 else math.nan
 
 
 def speckle_count(intensity: np.ndarray) -> float:

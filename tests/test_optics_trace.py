@@ -29,7 +29,16 @@ def plane(z: float, **kwargs) -> Interaction:
     return Interaction.through(Surface(frame(z, **kwargs)))
 
 
-def lens(z: float, c1: float, c2: float, thickness: float, k1: float = 0.0, k2: float = 0.0, index: float = INDEX, rotation=(0.0, 0.0, 0.0)):
+def lens(
+    z: float,
+    c1: float,
+    c2: float,
+    thickness: float,
+    k1: float = 0.0,
+    k2: float = 0.0,
+    index: float = INDEX,
+    rotation=(0.0, 0.0, 0.0),
+):
     """Refractions at the two surfaces of a lens, front vertex at z, turned about it."""
     front = frame(z, rotation=rotation)
     back = Frame(front.to_world(np.array([[0.0, 0.0, thickness]]))[0], front.axes)
@@ -52,7 +61,10 @@ SYSTEMS = {
     "asphere reversed": (*lens(60.0, 0.0, -0.05, 5.0, k2=-2.3), plane(100.0)),
     "paraboloid": (*lens(60.0, 0.05, 0.0, 5.0, k1=-1.0), plane(100.0)),
     "oblate": (*lens(60.0, 0.03, -0.01, 5.0, k1=1.5, k2=0.4), plane(100.0)),
-    "meniscus tilted": (*lens(60.0, 0.03, 0.02, 3.0, rotation=(0.1, -0.2, 0.3)), plane(100.0, rotation=(0.2, 0.1, 0.0))),
+    "meniscus tilted": (
+        *lens(60.0, 0.03, 0.02, 3.0, rotation=(0.1, -0.2, 0.3)),
+        plane(100.0, rotation=(0.2, 0.1, 0.0)),
+    ),
     "ball": (*ball(60.0, 10.0), plane(100.0)),
     "two lenses": (*lens(50.0, 0.02, -0.02, 5.0), *lens(70.0, 0.03, 0.0, 5.0, k1=-0.7), plane(100.0)),
     "concave mirror": (Interaction.reflect(Surface(frame(80.0, rotation=(0.1, 0.05, 0.0)), -0.01)), plane(5.0)),
@@ -137,7 +149,9 @@ def test_biconvex_lens_agrees_with_the_published_reference_values():
         sources = np.tile(case["source"], (len(case["rays"]), 1))
         traced = trace(sequence, sources, column("entrance") - sources)
         assert traced.valid.all()
-        np.testing.assert_allclose(traced.points[:2].swapaxes(0, 1), column("surface_hits"), rtol=0, atol=POINT_TOLERANCE)
+        np.testing.assert_allclose(
+            traced.points[:2].swapaxes(0, 1), column("surface_hits"), rtol=0, atol=POINT_TOLERANCE
+        )
         np.testing.assert_allclose(traced.points[-1], column("exit"), rtol=0, atol=POINT_TOLERANCE)
         np.testing.assert_allclose(traced.optical_path_length, column("opl"), rtol=0, atol=REFERENCE_PATH_TOLERANCE)
         aimed = aim(sequence, sources, column("exit"))
@@ -155,7 +169,9 @@ def test_far_source_and_grazing_incidence_keep_the_accuracy():
     result = trace(sequence, origins, directions)
     exact = [mp_trace(sequence, o, d) for o, d in zip(origins, directions)]
     np.testing.assert_allclose(result.optical_path_length, [e[0] for e in exact], rtol=0, atol=PATH_TOLERANCE)
-    np.testing.assert_allclose(result.points[-1], [e[1] for e in exact], rtol=0, atol=1e-10)  # grazing magnifies rounding
+    np.testing.assert_allclose(
+        result.points[-1], [e[1] for e in exact], rtol=0, atol=1e-10
+    )  # grazing magnifies rounding
 
 
 def test_equal_indices_refract_to_exactly_nothing():
@@ -182,11 +198,15 @@ def test_light_returns_the_way_it_came_with_the_same_path(name):
     origins, directions = fan(np.random.default_rng(4), 30)
     there = trace(Sequence(interactions), origins, directions)
     swapped = {"near": "far", "far": "near", "vertex": "vertex"}
-    back = [Interaction(i.surface, i.action, i.index_after, i.index_before, swapped[i.root]) for i in interactions[-2::-1]]
+    back = [
+        Interaction(i.surface, i.action, i.index_after, i.index_before, swapped[i.root]) for i in interactions[-2::-1]
+    ]
     home = trace(Sequence((*back, plane(0.0))), there.points[-1], -there.directions)
     unit = directions / np.linalg.norm(directions, axis=1, keepdims=True)
     beyond_origin = origins[:, 2] / unit[:, 2]  # the way back ends on the plane z = 0
-    np.testing.assert_allclose(home.optical_path_length, there.optical_path_length + beyond_origin, rtol=0, atol=PATH_TOLERANCE)
+    np.testing.assert_allclose(
+        home.optical_path_length, there.optical_path_length + beyond_origin, rtol=0, atol=PATH_TOLERANCE
+    )
     np.testing.assert_allclose(home.directions, -unit, rtol=0, atol=1e-13)
 
 
@@ -285,7 +305,10 @@ def test_a_ray_beyond_the_equator_or_on_the_other_sheet_misses_the_lens():
 
 
 def test_margins_vanish_on_the_rim_and_are_positive_inside():
-    surfaces = [Surface(frame(10.0, x=1.0, rotation=(0.0, 0.0, 0.5)), outline=Rectangle(3.0, 1.0)), Surface(frame(10.0), outline=Circle(2.0))]
+    surfaces = [
+        Surface(frame(10.0, x=1.0, rotation=(0.0, 0.0, 0.5)), outline=Rectangle(3.0, 1.0)),
+        Surface(frame(10.0), outline=Circle(2.0)),
+    ]
     sequence = Sequence((*(Interaction.through(s) for s in surfaces), plane(20.0)))
     assert sequence.rims == ((0, 0), (0, 1), (1, 0))
     local = np.array([[3.0, 0.5, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 0.0], [4.0, 2.0, 0.0]])
@@ -365,7 +388,9 @@ def test_plano_hyperbolic_lens_collimates_into_equal_paths():
     front = Interaction.refract(Surface(frame(-6.0)), 1.0, n)
     x, y = np.meshgrid(np.linspace(-9.0, 9.0, 9), np.linspace(-9.0, 9.0, 9))
     origins = np.column_stack([x.ravel(), y.ravel(), np.full(81, -10.0)])
-    result = trace(Sequence((front, Interaction.refract(back, n, 1.0), plane(focus))), origins, np.tile([0.0, 0.0, 1.0], (81, 1)))
+    result = trace(
+        Sequence((front, Interaction.refract(back, n, 1.0), plane(focus))), origins, np.tile([0.0, 0.0, 1.0], (81, 1))
+    )
     assert result.valid.all()
     np.testing.assert_allclose(result.points[-1, :, :2], 0.0, atol=1e-11)
     np.testing.assert_allclose(result.optical_path_length, 4.0 + 6.0 * n + focus, rtol=0, atol=PATH_TOLERANCE)
@@ -392,7 +417,9 @@ def test_sphere_mirror_sends_light_from_its_centre_back():
     np.testing.assert_allclose(result.points[-1], 0.0, atol=1e-13)
 
 
-@pytest.mark.parametrize("c1, c2, thickness", [(0.02, -0.02, 5.0), (0.04, 0.0, 4.0), (0.0, -0.04, 4.0), (0.03, 0.02, 3.0)])
+@pytest.mark.parametrize(
+    "c1, c2, thickness", [(0.02, -0.02, 5.0), (0.04, 0.0, 4.0), (0.0, -0.04, 4.0), (0.03, 0.02, 3.0)]
+)
 def test_back_focal_length_is_the_lensmakers(c1, c2, thickness):
     power = (INDEX - 1) * (c1 - c2 + (INDEX - 1) * thickness * c1 * c2 / INDEX)
     back_focus = (1.0 - (INDEX - 1) * thickness * c1 / INDEX) / power
@@ -426,7 +453,9 @@ def test_aimed_ray_passes_through_its_target_with_the_traced_path(name):
     n, half = 300, AIMED[name]
     sources = rng.uniform(-0.5, 0.5, (n, 3))
     middle = trace(sequence, np.zeros((1, 3)), [[0.0, 0.0, 1.0]]).points[-1, 0]
-    local = sequence.last.surface.frame.to_local(middle[None]) + np.column_stack([rng.uniform(-half, half, (n, 2)), np.zeros(n)])
+    local = sequence.last.surface.frame.to_local(middle[None]) + np.column_stack(
+        [rng.uniform(-half, half, (n, 2)), np.zeros(n)]
+    )
     targets = sequence.last.surface.frame.to_world(local)
     aimed = aim(sequence, sources, targets)
     assert aimed.converged.all()
@@ -540,7 +569,9 @@ def rayleigh_sommerfeld(points, weights, normal, field, target, wavenumber):
     return wavenumber / (2j * np.pi) * (weights * field * kernel).sum()
 
 
-@pytest.mark.parametrize("caustics, distance, wavelength, soft", [(0, 25.0, 4e-3, 1.0), (1, 50.0, 1e-3, 1.5), (2, 85.0, 2e-3, 1.5)])
+@pytest.mark.parametrize(
+    "caustics, distance, wavelength, soft", [(0, 25.0, 4e-3, 1.0), (1, 50.0, 1e-3, 1.5), (2, 85.0, 2e-3, 1.5)]
+)
 def test_field_beyond_focal_lines_has_the_phase_of_the_diffraction_integral(caustics, distance, wavelength, soft):
     # A tilted concave mirror makes two focal lines. Field on a plane before them, with a soft edge so that there is no edge wave,
     # propagated by diffraction, must go over into the geometric field as the wavelength goes to zero.

@@ -71,10 +71,12 @@ def skew_assembly(seed):
     }
 
 
-def moved_geometry_displacement(geometry, dof):
+def moved_geometry_displacement(geometry, dof, side=1):
     """Displacement per unit motion found by moving the target: only optical path lengths, 40 digits, no formula.
 
     The displacement is where the path change of the moved scatterers is stationary over the surface at the spot.
+    side: 1 for a detector in front of the surface, -1 for a plane behind it that a lens images: the path through the
+    scatterer to the image is then shorter by the scatterer's distance from that plane's point.
     """
     mp = mpmath.mp.clone()
     mp.dps = 40
@@ -95,7 +97,7 @@ def moved_geometry_displacement(geometry, dof):
         return origin + rotation * (point - origin)
 
     def path(point, pixel):
-        return mp.sign(radius) * mp.norm(point - laser) + mp.norm(point - pixel)
+        return mp.sign(radius) * mp.norm(point - laser) + side * mp.norm(point - pixel)
 
     step = mp.mpf(10) ** -10
 
@@ -236,6 +238,17 @@ def test_defocused_image_moves_as_the_free_space_pattern_at_the_defocus_times_th
     np.testing.assert_allclose(imaged(geometry, distance, magnification), magnification @ free, rtol=1e-10, atol=1e-10)
 
 
+@pytest.mark.parametrize("defocus", [0.5, -0.5])
+@pytest.mark.parametrize("dof", DEGREES_OF_FREEDOM)
+def test_image_of_a_plane_before_or_behind_the_surface_is_where_the_path_change_is_stationary(defocus, dof):
+    geometry = skew_assembly(1)
+    expected = imaged(geometry, defocus)[:, DEGREES_OF_FREEDOM.index(dof)]
+    sight = geometry["detector_centre"] - geometry["spot"]
+    geometry["detector_centre"] = geometry["spot"] + defocus * sight / np.linalg.norm(sight)
+    moved = moved_geometry_displacement(geometry, dof, side=int(np.sign(defocus)))
+    np.testing.assert_allclose(expected, moved, rtol=MOTION_ERROR, atol=MOTION_ERROR)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_displacement_is_linear_in_the_defocus_through_focus(seed):
     geometry = skew_assembly(seed)
@@ -318,7 +331,7 @@ def test_material_moves_across_a_tilted_beam_by_the_sine_or_cosine_of_its_angle(
     np.testing.assert_allclose(lever, [-2, 2, 0], atol=1e-12)
 
 
-def gaussian_average(phase, beam_radius, points=400):
+def gaussian_average(phase, beam_radius, points=160):
     """|<exp(i phase)>|^2 over a Gaussian spot by Gauss-Legendre quadrature in x and y."""
     nodes, weights = np.polynomial.legendre.leggauss(points)
     x = 3.5 * beam_radius * nodes

@@ -268,7 +268,9 @@ def _solve(first: np.ndarray, second: np.ndarray, residual: np.ndarray) -> np.nd
     """Newton step (2, n) [rad], no longer than ``MAXIMUM_STEP``, of the Jacobian with columns ``first``, ``second`` (2, n)."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         determinant = first[0] * second[1] - first[1] * second[0]
-        step = np.stack([residual[0] * second[1] - residual[1] * second[0], first[0] * residual[1] - first[1] * residual[0]])
+        step = np.stack(
+            [residual[0] * second[1] - residual[1] * second[0], first[0] * residual[1] - first[1] * residual[0]]
+        )
         step /= determinant
         # On a caustic the Jacobian is singular: no step, rather than a meaningless one.
         step = np.where(np.isfinite(step), step, 0.0)

@@ -83,9 +83,13 @@ class Surface:
         axes = np.asarray(self.frame.axes, dtype=np.float64)
         error = np.abs(axes.T @ axes - np.eye(3)).max()
         if not error < ORTHONORMAL_TOLERANCE:
-            raise ValueError(f"surface axes are not orthonormal (off by {error:.1e}): optics may be rotated, not scaled or sheared")
+            raise ValueError(
+                f"surface axes are not orthonormal (off by {error:.1e}): optics may be rotated, not scaled or sheared"
+            )
         if not (np.isfinite(self.curvature) and np.isfinite(self.conic)):
-            raise ValueError(f"surface curvature = {self.curvature}, conic = {self.conic}: must be finite (a plane has curvature 0)")
+            raise ValueError(
+                f"surface curvature = {self.curvature}, conic = {self.conic}: must be finite (a plane has curvature 0)"
+            )
         # The nearest rotation: a scale error of 1e-9 in the axes would already be 1e-4 wavelengths over 0.1 m.
         left, _, right = np.linalg.svd(axes)
         object.__setattr__(self, "frame", Frame(np.asarray(self.frame.origin, dtype=np.float64), left @ right))
@@ -106,7 +110,9 @@ class Surface:
         c = self.curvature
         return np.stack([c * point[0], c * point[1], c * (1.0 + self.conic) * point[2] - 1.0])
 
-    def intersect(self, point: np.ndarray, direction: np.ndarray, root: str = "vertex") -> tuple[np.ndarray, np.ndarray]:
+    def intersect(
+        self, point: np.ndarray, direction: np.ndarray, root: str = "vertex"
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Length (n,) [mm] along local rays to the surface and the hit points (3, n), NaN where there are none.
 
         point, direction: (3, n), directions of unit length. root: which of the two crossings of the quadric,
@@ -168,11 +174,17 @@ class Interaction:
         if self.root not in ("vertex", "near", "far"):
             raise ValueError(f"root {self.root!r}: must be one of vertex, near, far")
         if not (self.index_before > 0.0 and self.index_after > 0.0):
-            raise ValueError(f"refractive indices {self.index_before}, {self.index_after}: must be positive (a mirror is 'reflect')")
+            raise ValueError(
+                f"refractive indices {self.index_before}, {self.index_after}: must be positive (a mirror is 'reflect')"
+            )
         if self.action != "refract" and self.index_before != self.index_after:
-            raise ValueError(f"{self.action} with indices {self.index_before}, {self.index_after}: the medium changes only by refraction")
+            raise ValueError(
+                f"{self.action} with indices {self.index_before}, {self.index_after}: the medium changes only by refraction"
+            )
         if self.root != "vertex" and not (self.surface.curvature != 0.0 and self.surface.conic > -1.0):
-            raise ValueError(f"root {self.root!r} needs a closed surface: a sphere or spheroid (curvature not 0, conic > -1)")
+            raise ValueError(
+                f"root {self.root!r} needs a closed surface: a sphere or spheroid (curvature not 0, conic > -1)"
+            )
 
     @classmethod
     def refract(cls, surface: Surface, index_before: float, index_after: float, root: str = "vertex") -> Interaction:
@@ -210,7 +222,12 @@ class Sequence:
                 raise ValueError(
                     f"optical sequence: index {one.index_after} after interaction {i} but {two.index_before} before interaction {i + 1}"
                 )
-        rims = [(i, j) for i, one in enumerate(self.interactions) if one.surface.outline for j in range(one.surface.outline.size)]
+        rims = [
+            (i, j)
+            for i, one in enumerate(self.interactions)
+            if one.surface.outline
+            for j in range(one.surface.outline.size)
+        ]
         object.__setattr__(self, "rims", tuple(rims))
 
     @property

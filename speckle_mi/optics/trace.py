@@ -172,7 +172,9 @@ def _triple(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     return a[0] * x + a[1] * y + a[2] * z
 
 
-def _transfer(interaction: Interaction, state: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def _transfer(
+    interaction: Interaction, state: np.ndarray, count: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Move the rays onto the surface, in place: lengths (n,), unit normals N (3, n) or (3, 1), their tangents (3, T, n) or None."""
     surface = interaction.surface
     direction = state[:, 1]

@@ -3,7 +3,6 @@
 E(D) e^{-ikV(P0, D)} contains along u no spatial frequency beyond max |d/du [V(P, D) - V(P0, D)]|/lambda over the sources P.
 It is sampled on a tensor Chebyshev grid of that bandwidth, interpolated to the pixels by two real matrix products, and
 given its common phase back. The bandwidth is measured on the paths themselves, not on a paraxial estimate.
-Source of the barycentric formula: Berrut & Trefethen, SIAM Review 46 (2004), doi:10.1137/S0036144502417715.
 """
 
 from __future__ import annotations
@@ -18,6 +17,7 @@ import numpy as np
 from scipy.special import jv
 
 from ..geometry import PlaneGrid, PlanePoints
+from .chebyshev import chebyshev_nodes, interpolation_matrix
 from .direct import SINGLE_PRECISION, WRITE, backend, phasor, supports
 from .paths import Path
 
@@ -43,28 +43,6 @@ class Rectangle:
         if isinstance(target, PlaneGrid):
             return cls((0.0, float(target.columns[-1])), (0.0, float(target.rows[-1])))
         return cls((float(target.a.min()), float(target.a.max())), (float(target.b.min()), float(target.b.max())))
-
-
-@lru_cache(maxsize=64)
-def chebyshev_nodes(count: int) -> np.ndarray:
-    """(count,) Chebyshev points of the first kind on [-1, 1], ascending."""
-    return -np.cos((np.arange(count) + 0.5) * np.pi / count)
-
-
-def interpolation_matrix(count: int, places: np.ndarray) -> np.ndarray:
-    """(m, count) matrix from values at ``chebyshev_nodes(count)`` to the places (m,) in [-1, 1], barycentric."""
-    if count == 1:
-        return np.ones((len(places), 1))
-    nodes = chebyshev_nodes(count)
-    signs = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin((np.arange(count) + 0.5) * np.pi / count)
-    difference = places[:, None] - nodes
-    row, column = np.nonzero(difference == 0.0)
-    difference[row, column] = 1.0
-    matrix = signs / difference
-    matrix /= matrix.sum(axis=1, keepdims=True)
-    matrix[row] = 0.0
-    matrix[row, column] = 1.0
-    return matrix
 
 
 @lru_cache(maxsize=16)

@@ -1,0 +1,56 @@
+"""Traced path lengths and amplitudes between sets of points: the exact oracle that smooth interpolation is built from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from speckle_mi.optics.aim import AimedPaths, aim
+from speckle_mi.optics.surfaces import Sequence
+from speckle_mi.optics.trace import RayStatus
+
+
+@dataclass(frozen=True, eq=False)
+class TracedPath:
+    """Path length and amplitude through ``sequence`` from every source to every target on its last plane.
+
+    Every pair costs an aimed ray, so call it on nodes, not on pixels.
+    """
+
+    sequence: Sequence
+
+    def __call__(self, P: np.ndarray, D: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Length (n, m) [mm] and complex amplitude (n, m) [1/mm] from sources P (n, 3) to targets D (m, 3), world [mm].
+
+        The field at D of a unit source at P is amplitude * exp(i k length). The amplitude holds the factor exp(-i pi/2) of every focal
+        line on the way (phasor e^{+ikL}: Gouy's phase). Vignetting is not in it, see ``margins``.
+        Raises ValueError when a pair has no ray; reasons are counted in the message.
+        """
+        aimed = self._aimed(P, D)
+        phase = np.array([1.0, -1.0j, -1.0, 1.0j])[aimed.caustics % 4]
+        shape = (len(P), len(D))
+        return aimed.optical_path_length.reshape(shape), (aimed.amplitude * phase).reshape(shape)
+
+    def margins(self, P: np.ndarray, D: np.ndarray) -> np.ndarray:
+        """Smooth clearance (r, n, m) of the rims listed in ``sequence.rims``; the ray from P to D is free where all are > 0.
+
+        Raises ValueError when a pair has no ray.
+        """
+        return self._aimed(P, D).margins.reshape(-1, len(P), len(D))
+
+    def aimed(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
+        """The rays of all pairs, n * m, row-major (source, target); pairs without a ray are marked, not refused."""
+        return aim(self.sequence, np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
+
+    def _aimed(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
+        aimed = self.aimed(P, D)
+        if not aimed.converged.all():
+            lost = aimed.status[~aimed.converged]
+            reasons = ", ".join(
+                f"{(lost == code).sum()} {RayStatus(code).name.lower().replace('_', ' ')}" for code in np.unique(lost)
+            )
+            raise ValueError(
+                f"{lost.size} of {aimed.status.size} pairs of source and target have no ray through the optics: {reasons}"
+            )
+        return aimed

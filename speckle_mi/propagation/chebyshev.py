@@ -1,0 +1,120 @@
+"""Chebyshev interpolation on boxes: nodes, barycentric matrices, and pruned tensor series at scattered places.
+
+Source of the barycentric formula: Berrut & Trefethen, SIAM Review 46 (2004), doi:10.1137/S0036144502417715.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+
+@lru_cache(maxsize=256)
+def chebyshev_nodes(count: int) -> np.ndarray:
+    """(count,) Chebyshev points of the first kind on [-1, 1], ascending."""
+    return -np.cos((np.arange(count) + 0.5) * np.pi / count)
+
+
+def interpolation_matrix(count: int, places: np.ndarray) -> np.ndarray:
+    """(m, count) matrix from values at ``chebyshev_nodes(count)`` to the places (m,) in [-1, 1], barycentric."""
+    if count == 1:
+        return np.ones((len(places), 1))
+    nodes = chebyshev_nodes(count)
+    signs = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin((np.arange(count) + 0.5) * np.pi / count)
+    difference = places[:, None] - nodes
+    row, column = np.nonzero(difference == 0.0)
+    difference[row, column] = 1.0
+    matrix = signs / difference
+    matrix /= matrix.sum(axis=1, keepdims=True)
+    matrix[row] = 0.0
+    matrix[row, column] = 1.0
+    return matrix
+
+
+@lru_cache(maxsize=256)
+def coefficient_matrix(count: int) -> np.ndarray:
+    """(count, count) matrix from values at ``chebyshev_nodes(count)`` to coefficients of T_0 ... T_{count-1}."""
+    angle = (np.arange(count) + 0.5) * np.pi / count
+    # Ascending nodes are cos(pi - angle): T_n(node) = (-1)^n cos(n angle).
+    matrix = 2 / count * np.cos(np.outer(np.arange(count), np.pi - angle))
+    matrix[0] /= 2
+    return matrix
+
+
+def tensor_nodes(orders: tuple[int, ...]) -> np.ndarray:
+    """(product of orders, dimensions) tensor Chebyshev nodes on [-1, 1]^d, last dimension fastest."""
+    axes = np.meshgrid(*(chebyshev_nodes(order) for order in orders), indexing="ij")
+    return np.stack([axis.ravel() for axis in axes], axis=1)
+
+
+def tensor_coefficients(values: np.ndarray, orders: tuple[int, ...]) -> np.ndarray:
+    """Coefficients (*orders, k) of values (product of orders, k) on ``tensor_nodes(orders)``."""
+    tensor = values.reshape(*orders, -1)
+    for axis, order in enumerate(orders):
+        tensor = np.moveaxis(np.tensordot(coefficient_matrix(order), tensor, axes=(1, axis)), 0, axis)
+    return tensor
+
+
+def axis_tails(coefficients: np.ndarray) -> np.ndarray:
+    """For each dimension but the last: norm of the last two coefficient slices relative to the whole.
+
+    Zero for a dimension of one node: it has no extent.
+    """
+    total = np.linalg.norm(coefficients) or 1.0
+    tails = []
+    for axis, order in enumerate(coefficients.shape[:-1]):
+        last = np.take(coefficients, range(max(1, order - 2), order), axis=axis) if order > 1 else np.zeros(1)
+        tails.append(np.linalg.norm(last) / total)
+    return np.array(tails)
+
+
+@dataclass(frozen=True)
+class TensorSeries:
+    """sum_q coefficients[q] T_{index[q,0]}(x) T_{index[q,1]}(y) ...: k functions with only the terms that matter.
+
+    index: (q, d) int; coefficients: (q, k) real.
+    """
+
+    index: np.ndarray
+    coefficients: np.ndarray
+
+    @classmethod
+    def pruned(cls, coefficients: np.ndarray, tolerance: float) -> TensorSeries:
+        """From real coefficients (*orders, k), dropping the smallest terms up to ``tolerance`` of the norm in all."""
+        orders, functions = coefficients.shape[:-1], coefficients.shape[-1]
+        flat = coefficients.reshape(-1, functions)
+        size = np.linalg.norm(flat, axis=1)
+        order = np.argsort(size)
+        # The sum, not the root of the squares: the dropped terms may add up at one place.
+        dropped = np.cumsum(size[order]) <= tolerance * np.linalg.norm(size)
+        keep = np.sort(order[~dropped])
+        return cls(np.stack(np.unravel_index(keep, orders), axis=1), flat[keep])
+
+    def __call__(self, places: np.ndarray, dtype: type = np.float64) -> np.ndarray:
+        """Values (n, k) at places (n, d) in [-1, 1]^d."""
+        columns = np.ascontiguousarray(places.T, dtype=dtype)
+        powers = []
+        for axis, x in enumerate(columns):
+            order = int(self.index[:, axis].max(initial=0)) + 1
+            ladder = np.ones((order, len(x)), dtype=dtype)
+            if order > 1:
+                ladder[1] = x
+            for n in range(2, order):
+                np.multiply(x, ladder[n - 1], out=ladder[n])
+                ladder[n] *= 2
+                ladder[n] -= ladder[n - 2]
+            powers.append(ladder)
+        basis = np.empty((len(self.index), columns.shape[1]), dtype=dtype)
+        for row, term in zip(basis, self.index, strict=True):
+            factors = [powers[axis][n] for axis, n in enumerate(term) if n > 0]
+            if not factors:
+                row[:] = 1.0
+            elif len(factors) == 1:
+                row[:] = factors[0]
+            else:
+                np.multiply(factors[0], factors[1], out=row)
+                for factor in factors[2:]:
+                    row *= factor
+        return (self.coefficients.T.astype(dtype) @ basis).T

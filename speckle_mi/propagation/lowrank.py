@@ -1,0 +1,258 @@
+"""Many sources: the coherent sum as a few nonuniform FFTs.
+
+Around a source P0 in the middle of the source box and a point D0 in the middle of the target the path is split into
+
+    V(P, D) = V(P0, D) + [V(P, D0) - V(P0, D0)] + W(P, D),    W(P, D) = q(D) + s(D) . x(P) + rest,
+
+x in [-1, 1]^d the place in the box. The first belongs to the target alone, the second to the source alone. The slopes s make a
+type-3 NUFFT (its exponent is linear in x). What is left, A(P, D) e^{ik rest}, varies slowly with both and has a low rank:
+
+    E(D) = e^{ik[V(P0, D) + q(D)]} sum_t b_t(D) sum_j [c_j a_t(P_j) e^{ik[V(P_j, D0) - V(P0, D0)]}] e^{iks(D) . x_j}.
+
+It is sampled on Chebyshev nodes of box and target only, so that any smooth path will do, traced lenses included. The NUFFT is FINUFFT
+(Barnett, Magland & af Klinteberg, SIAM J. Sci. Comput. 41 (2019), doi:10.1137/18M120885X).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import cpu_count
+
+import finufft
+import numpy as np
+
+from ..geometry import PlaneGrid, PlanePoints
+from .bandlimited import Rectangle
+from .chebyshev import TensorSeries, axis_tails, interpolation_matrix, tensor_coefficients, tensor_nodes
+from .paths import Path
+from .sources import SourceBox, for_chunks
+
+FIRST_ORDERS = (5, 5, 3)
+"""Nodes tried first along the source box; target's two sides start from the first of them."""
+
+LARGEST_TABLE = 1_500_000
+"""Source-node x target-node pairs beyond which the expansion is given up: near field or a huge spot."""
+
+LARGEST_RANK = 80
+"""Rank beyond which the expansion is given up."""
+
+SAMPLED_SOURCES = 256
+"""Sources on which the rank is decided, with their own weights: what no source lights need not be expanded."""
+
+SAMPLE_SEED = 6
+"""Seed of that sample."""
+
+SINGLE_TOLERANCE = 5e-5
+"""Relative error down to which float32 NUFFTs and weights are used."""
+
+BYTES_AT_ONCE = 300_000_000
+"""Memory for the weights and outputs of NUFFTs done at once."""
+
+
+@dataclass(frozen=True)
+class LowRank:
+    """The expansion for one geometry; see the module's docstring.
+
+    slopes, constant: series on the target [turns]; source_terms, target_terms: real and imaginary parts of a_t, b_t
+    side by side, 2 rank functions; linear: which box dimensions the NUFFT takes; reach [turns]: largest |slope|.
+    """
+
+    path: Path
+    box: SourceBox
+    rectangle: Rectangle
+    wavelength: float
+    middle: np.ndarray
+    target_series: TensorSeries
+    source_series: TensorSeries
+    rank: int
+    linear: tuple[int, ...]
+    reach: np.ndarray
+    tolerance: float
+
+    @property
+    def double(self) -> bool:
+        return self.tolerance < SINGLE_TOLERANCE or 2 * np.pi * self.reach.max(initial=0.0) * 1e-7 > self.tolerance / 4
+
+
+def expand(
+    path: Path,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    target: PlaneGrid | PlanePoints,
+    box: SourceBox,
+    wavelength: float,
+    tolerance: float,
+) -> LowRank | None:
+    """Expansion to relative L2 ``tolerance``, or None where it would cost more than it saves."""
+    rectangle = Rectangle.around(target)
+    middle = _target_places(target, rectangle, np.zeros((1, 2))).points()
+    sides = (rectangle.a, rectangle.b)
+    orders = [FIRST_ORDERS[i] if box.half[i] > 0 else 1 for i in range(3)]
+    orders += [FIRST_ORDERS[0] if side[1] > side[0] else 1 for side in sides]
+    while True:
+        if np.prod(orders) > LARGEST_TABLE:
+            return None
+        source_orders, target_orders = tuple(orders[:3]), tuple(orders[3:])
+        nodes, places = tensor_nodes(source_orders), tensor_nodes(target_orders)
+        turns, kernel_amplitude = _mixed_path(path, box, target, rectangle, nodes, places, middle, wavelength)
+        linear, slopes = _slopes(turns, source_orders)
+        constant = tensor_coefficients(turns, source_orders)[0, 0, 0]
+        rest = turns - constant - nodes[:, linear] @ slopes
+        kernel = kernel_amplitude * np.exp(2j * np.pi * rest)
+        tails = axis_tails(tensor_coefficients(kernel, source_orders).reshape(*source_orders, -1))
+        smooth = np.concatenate([kernel, slopes, constant[None]]).T
+        target_tails = axis_tails(tensor_coefficients(kernel.T, target_orders))
+        path_tails = _absolute_tails(np.concatenate([slopes, constant[None]]).T, target_orders) * 2 * np.pi
+        tails = np.concatenate([tails, np.maximum(target_tails, path_tails)])
+        failing = [i for i in range(5) if tails[i] > tolerance / 10]
+        if not failing:
+            break
+        for i in failing:
+            orders[i] = int(np.ceil(orders[i] * 1.4)) + 1
+    return _compress(
+        path, box, rectangle, wavelength, middle, sources, weights, kernel, slopes, constant, source_orders, target_orders,
+        linear, tolerance,
+    )  # fmt: skip
+
+
+def _absolute_tails(values: np.ndarray, orders: tuple[int, ...]) -> np.ndarray:
+    """Largest absolute sum of the last two coefficient slices along each dimension of values (nodes, k)."""
+    coefficients = np.abs(tensor_coefficients(values, orders))
+    tails = []
+    for axis, order in enumerate(orders):
+        last = np.take(coefficients, range(max(1, order - 2), order), axis=axis)
+        tails.append(float(last.sum(axis=(0, 1)).max(initial=0.0)) if order > 1 else 0.0)
+    return np.array(tails)
+
+
+def _target_places(target: PlaneGrid | PlanePoints, rectangle: Rectangle, places: np.ndarray) -> PlanePoints:
+    """Points of the target's plane at places (m, 2) in [-1, 1]^2 of the rectangle."""
+    a, b = (
+        (side[0] + side[1]) / 2 + (side[1] - side[0]) / 2 * values
+        for side, values in zip((rectangle.a, rectangle.b), places.T, strict=True)
+    )
+    return PlanePoints(target.origin, target.u, target.v, a, b)
+
+
+def _mixed_path(path, box, target, rectangle, nodes, places, middle, wavelength):
+    """W/lambda and A on source nodes x target nodes (n, m)."""
+    points = _target_places(target, rectangle, places).points()
+    length, amplitude = path(np.vstack([box.centre, box.to_world(nodes)]), np.vstack([middle, points]))
+    mixed = (length[1:, 1:] - length[:1, 1:]) - (length[1:, :1] - length[:1, :1])
+    return mixed / wavelength, amplitude[1:, 1:]
+
+
+def _slopes(turns: np.ndarray, orders: tuple[int, ...]) -> tuple[list[int], np.ndarray]:
+    """Box dimensions for the NUFFT and the linear Chebyshev coefficients (dimensions, m) along them [turns].
+
+    The two steepest, and the third where it turns the phase by more than a radian.
+    """
+    coefficients = tensor_coefficients(turns, orders)
+    candidates = []
+    for axis in range(3):
+        if orders[axis] > 1:
+            pick = [0, 0, 0]
+            pick[axis] = 1
+            candidates.append((axis, coefficients[tuple(pick)]))
+    candidates.sort(key=lambda item: -np.abs(item[1]).max())
+    chosen = sorted(
+        (item for rank, item in enumerate(candidates) if rank < 2 or np.abs(item[1]).max() > 0.15), key=lambda item: item[0]
+    )
+    return [axis for axis, _ in chosen], np.array([slope for _, slope in chosen]).reshape(len(chosen), turns.shape[1])
+
+
+def _compress(
+    path, box, rectangle, wavelength, middle, sources, weights, kernel, slopes, constant, source_orders, target_orders, linear,
+    tolerance,
+) -> LowRank | None:  # fmt: skip
+    """Rank, singular vectors and their series. The rank is decided on sources drawn with their own weights."""
+    size = np.abs(weights)
+    pick = np.random.default_rng(SAMPLE_SEED).integers(len(sources), size=SAMPLED_SOURCES)
+    x = np.clip(box.to_local(sources[pick]), -1, 1)
+    matrices = [interpolation_matrix(order, x[:, axis]) for axis, order in enumerate(source_orders)]
+    tensor = kernel.reshape(*source_orders, -1)
+    sample = np.einsum("ni,nj,nk,ijkm->nm", *matrices, tensor, optimize=True) * (size[pick] / (size.max() or 1.0))[:, None]
+    # Two parts in a thousand of all nodes evenly: nothing in the box is left out altogether.
+    floor = 0.1 * tolerance * np.linalg.norm(sample) / (np.linalg.norm(kernel) or 1.0)
+    values, right = np.linalg.svd(np.vstack([sample, floor * kernel]), full_matrices=False)[1:]
+    left_out = np.sqrt(np.cumsum(values[::-1] ** 2)[::-1])
+    rank = int(np.count_nonzero(left_out > tolerance / 4 * left_out[0])) if left_out[0] > 0 else 0
+    if rank > LARGEST_RANK:
+        return None
+    rank = max(rank, 1)
+    right = right[:rank]
+    left = kernel @ right.conj().T
+    scale = np.linalg.norm(left, axis=0)
+    source_values = np.concatenate([left.real, left.imag], axis=1)
+    source_series = TensorSeries.pruned(tensor_coefficients(source_values, source_orders), tolerance / 10)
+    target_values = np.concatenate([right.real, right.imag, slopes, constant[None]]).T
+    target_series = TensorSeries.pruned(tensor_coefficients(target_values, target_orders), 0.0)
+    reach = np.abs(slopes).max(axis=1, initial=0.0)
+    return LowRank(
+        path, box, rectangle, wavelength, middle, target_series, source_series, rank, tuple(linear), reach, tolerance
+    )
+
+
+def low_rank_sum(expansion: LowRank, sources: np.ndarray, weights: np.ndarray, places: PlanePoints) -> np.ndarray:
+    """Field (m,) complex128 at the places, on the plane and within the rectangle of the expansion's target."""
+    rank, dimensions = expansion.rank, len(expansion.linear)
+    real = np.float64 if expansion.double else np.float32
+    complex_type = np.complex128 if expansion.double else np.complex64
+    x = np.empty((max(dimensions, 1), len(sources)), dtype=real)
+    scale = float(np.abs(weights).max()) or 1.0
+    terms = np.empty((rank, len(sources)), dtype=complex_type)
+    reference = expansion.path(expansion.box.centre[None], expansion.middle)[0][0, 0]
+
+    def prepare(chunk: slice) -> None:
+        local = expansion.box.to_local(sources[chunk])
+        x[:dimensions, chunk] = local[:, expansion.linear].T
+        turns = (expansion.path(sources[chunk], expansion.middle)[0][:, 0] - reference) / expansion.wavelength
+        turns -= np.round(turns)
+        angle = (2 * np.pi * turns).astype(real)
+        weight = (weights[chunk] / scale).astype(complex_type)
+        phasor = np.empty(len(angle), dtype=complex_type)
+        phasor.real, phasor.imag = np.cos(angle), np.sin(angle)
+        weight *= phasor
+        series = expansion.source_series(local, real).T
+        for t in range(rank):
+            terms[t, chunk].real = series[t]
+            terms[t, chunk].imag = series[rank + t]
+            terms[t, chunk] *= weight
+
+    for_chunks(prepare, len(sources))
+    sides = (expansion.rectangle.a, expansion.rectangle.b)
+    at = np.stack(
+        [
+            (2 * values - side[0] - side[1]) / (side[1] - side[0]) if side[1] > side[0] else np.zeros(places.size)
+            for values, side in zip((places.a, places.b), sides, strict=True)
+        ],
+        axis=1,
+    )
+    on_target = np.concatenate(for_chunks(lambda chunk: expansion.target_series(at[chunk]), places.size))
+    slopes = 2 * np.pi * on_target[:, 2 * rank : 2 * rank + dimensions].T
+    field = np.zeros(places.size, dtype=np.complex128)
+    step = max(1, BYTES_AT_ONCE // (terms.itemsize * (len(sources) + places.size)))
+    for first in range(0, rank, step):
+        some = slice(first, min(first + step, rank))
+        for t, value in zip(range(some.start, some.stop), _transform(x, terms[some], slopes, expansion), strict=True):
+            field += (on_target[:, t] + 1j * on_target[:, rank + t]) * value
+    common = expansion.path(expansion.box.centre[None], places.points())[0][0] / expansion.wavelength
+    common += on_target[:, -1]
+    return field * (scale * np.exp(2j * np.pi * (common - np.round(common))))
+
+
+def _transform(x: np.ndarray, terms: np.ndarray, slopes: np.ndarray, expansion: LowRank) -> np.ndarray:
+    """sum_j terms[t, j] e^{i slopes . x_j}, (t, m)."""
+    if not expansion.linear:
+        return np.repeat(terms.sum(axis=1, dtype=np.complex128)[:, None], slopes.shape[1], axis=1)
+    eps = max(expansion.tolerance / 10, 1e-14 if expansion.double else 1e-6)
+    plan = finufft.Plan(
+        3, len(expansion.linear), n_trans=len(terms), eps=eps, isign=1, dtype=terms.dtype.name, nthreads=cpu_count()
+    )
+    plan.setpts(*_padded(x[: len(expansion.linear)]), *_padded(slopes.astype(x.dtype)))
+    return np.atleast_2d(plan.execute(terms if len(terms) > 1 else terms[0]))
+
+
+def _padded(rows: np.ndarray) -> list[np.ndarray | None]:
+    """Contiguous coordinate rows, None for the missing of three."""
+    return [np.ascontiguousarray(row) for row in rows] + [None] * (3 - len(rows))

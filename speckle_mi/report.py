@@ -1,0 +1,245 @@
+"""What a sweep leaves behind: sweep.csv, summary.json, plots, and a table to read."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import numpy as np
+
+from . import paper
+from .assembly import Assembly
+from .expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_correlation, expected_sensitivity
+from .files import replacing
+from .geometry import DEGREES_OF_FREEDOM, is_rotation
+from .plots import plot_decorrelation, plot_shifts, plot_speckle
+from .sensitivity import Sensitivity, fit_sensitivity
+from .sweep import FrameRecord, SweepResult, SweepSettings
+from .sysinfo import system_information
+
+_CURVE_POINTS = 101
+
+
+def unit_of(dof: str) -> str:
+    """Unit of a sensitivity to a motion."""
+    return "mm/deg" if is_rotation(dof) else "mm/mm"
+
+
+def write_json(path: str | os.PathLike, content: dict) -> None:
+    """Writes JSON, whole or not at all; NaN and infinities become null."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_table(path: str | os.PathLike, result: SweepResult) -> None:
+    """Writes a row a frame; numbers that were not measured are empty."""
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [column.name for column in fields(FrameRecord)])
+        writer.writeheader()
+        for record in result.records:
+            row = asdict(record)
+            writer.writerow({name: "" if _is_nan(value) else value for name, value in row.items()})
+
+
+def write_summary(path: str | os.PathLike, summary: dict) -> None:
+    """Writes summary.json without what only the plots need."""
+    write_json(path, {name: value for name, value in summary.items() if name != "fits"})
+
+
+def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) -> dict:
+    """Sensitivities of every motion along every axis, with theory, the paper's figures and the errors kept apart."""
+    grid = assembly.detector
+    fits = _fit_all(assembly, settings, result)
+    published = paper.published_assembly(assembly)
+    frames = [record.seconds for record in result.records]
+    lost = sum(record.status != "ok" for record in result.records)
+    return {
+        "axes": {"u": grid.u.tolist(), "v": grid.v.tolist()},
+        "target_axes": {name: assembly.target.frame.axes[:, k].tolist() for k, name in enumerate("xyz")},
+        "plan": result.plan,
+        "frames": len(result.records),
+        "frames_without_shift": lost,
+        "seconds_per_frame": float(np.median(frames)) if frames else math.nan,
+        "numerical_error": result.numerical_error,
+        "sensitivity": {dof: {axis: fit.to_json() for axis, fit in fitted.items()} for dof, fitted in fits.items()},
+        "decorrelation": {dof: _decorrelation(assembly, settings, result, dof) for dof in settings.dofs},
+        "paper": None if published is None else _paper_comparison(published, fits),
+        "warnings": result.warnings,
+        "system": system_information(),
+        "fits": fits,
+    }
+
+
+def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, result: SweepResult, summary: dict) -> None:
+    """Writes the speckle image, the decorrelation curves and, for every motion, the shifts along its main axes."""
+    plot_speckle(folder / "speckle.png", result.example, assembly.detector.pitch, f"Surface {settings.seeds[0]} at rest")
+    plot_decorrelation(
+        folder / "decorrelation.png",
+        {dof: settings.displacements for dof in settings.dofs},
+        {dof: result.values(dof, "ncc", settings) for dof in settings.dofs},
+        _correlation_curves(assembly, settings),
+    )
+    for dof, fitted in summary["fits"].items():
+        for axis in _axes_to_plot(fitted):
+            plot_shifts(
+                folder / f"shift_{dof}_{axis}.png", settings.displacements,
+                result.values(dof, _column(axis), settings), fitted[axis].theory, fitted[axis], dof, axis,
+            )
+
+
+def print_report(assembly: Assembly, settings: SweepSettings, summary: dict) -> None:
+    """Prints the plan, the sensitivities on the detector and on the target's axes, and the errors."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if os.isatty(1) else 120, highlight=False)
+    for line in summary["plan"]:
+        console.print(f"plan: {line}", markup=False)
+    for title, axes in (("On the detector", ("u", "v")), ("Projected on the target's axes", ("x", "y"))):
+        table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
+        published = bool(summary["paper"]) and axes == ("x", "y")
+        heads = ["motion", "unit"]
+        for axis in axes:
+            heads += [f"{axis} simulated", f"{axis} theory"]
+        heads += ["scatter [um]", *(["paper"] if published else [])]
+        for number, head in enumerate(heads):
+            table.add_column(head, justify="left" if number < 2 else "right")
+        for dof, fitted in summary["fits"].items():
+            row = [dof, unit_of(dof)]
+            for axis in axes:
+                row += [_with_interval(fitted[axis]), _number(fitted[axis].theory)]
+            row.append(" / ".join(_number(fitted[axis].scatter_um, "{:.1f}") for axis in axes))
+            if published:
+                row.append(_paper_cell(summary["paper"], dof, axes))
+            table.add_row(*row)
+        console.print(table)
+    if any(np.isfinite(fit[axis].theory or np.nan) for fit in summary["fits"].values() for axis in CENTRE_AXES):
+        console.print(_centre_table(summary))
+    console.print(f"numerical error of the field {summary['numerical_error']:.1e} (relative L2, estimated); "
+                  f"{summary['seconds_per_frame'] * 1e3:.3g} ms a frame (median); "
+                  f"{summary['frames_without_shift']} of {summary['frames']} frames without a significant shift")
+    for warning, count in summary["warnings"].items():
+        console.print(f"warning: {warning} ({count} frames)", markup=False)
+    for dof, note in ((summary["paper"] or {}).get("notes") or {}).items():
+        console.print(f"paper, {dof}: {note}", markup=False)
+
+
+def _centre_table(summary: dict):
+    from rich import box
+    from rich.table import Table
+
+    table = Table(title="Centre of gravity on the detector", box=box.SIMPLE_HEAD, title_justify="left")
+    heads = ["motion", "unit", "u simulated", "u theory", "v simulated", "v theory", "scatter [um]"]
+    paper_axis = {dof: entry for dof, entry in ((summary["paper"] or {}).get("figures") or {}).items()
+                  if entry["axis"] in CENTRE_AXES}
+    heads += ["paper"] if paper_axis else []
+    for number, head in enumerate(heads):
+        table.add_column(head, justify="left" if number < 2 else "right")
+    for dof, fitted in summary["fits"].items():
+        row = [dof, unit_of(dof)]
+        for axis in CENTRE_AXES:
+            row += [_with_interval(fitted[axis]), _number(fitted[axis].theory)]
+        row.append(" / ".join(_number(fitted[axis].scatter_um, "{:.1f}") for axis in CENTRE_AXES))
+        if paper_axis:
+            row.append(_paper_cell(summary["paper"], dof, CENTRE_AXES))
+        table.add_row(*row)
+    return table
+
+
+def _fit_all(assembly: Assembly, settings: SweepSettings, result: SweepResult) -> dict[str, dict[str, Sensitivity]]:
+    expected = expected_sensitivity(assembly)
+    fits: dict[str, dict[str, Sensitivity]] = {}
+    for dof in settings.dofs:
+        column = DEGREES_OF_FREEDOM.index(dof)
+        ncc = result.values(dof, "ncc", settings)
+        fits[dof] = {}
+        for axis in AXES:
+            theory = None if expected[axis] is None else float(expected[axis][column])
+            shifts = result.values(dof, _column(axis), settings)
+            weights = ncc if axis in PATTERN_AXES else None
+            fits[dof][axis] = fit_sensitivity(settings.displacements, shifts, weights, theory, unit_of(dof))
+    return fits
+
+
+def _column(axis: str) -> str:
+    return f"{axis}_um" if axis in CENTRE_AXES else f"shift_{axis}_um"
+
+
+def _decorrelation(assembly: Assembly, settings: SweepSettings, result: SweepResult, dof: str) -> dict:
+    measured = result.values(dof, "ncc", settings)
+    counted = np.isfinite(measured).any(axis=0)
+    mean = np.full(len(settings.displacements), np.nan)
+    mean[counted] = np.nanmean(measured[:, counted], axis=0)
+    expected = expected_correlation(assembly, dof, settings.displacements)
+    return {
+        "displacement": settings.displacements.tolist(),
+        "ncc": mean.tolist(),
+        "theory": None if expected is None else expected.tolist(),
+    }
+
+
+def _correlation_curves(assembly: Assembly, settings: SweepSettings) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    displacements = np.linspace(settings.displacements.min(), settings.displacements.max(), _CURVE_POINTS)
+    curves = {dof: expected_correlation(assembly, dof, displacements) for dof in settings.dofs}
+    return {dof: (displacements, curve) for dof, curve in curves.items() if curve is not None}
+
+
+def _axes_to_plot(fitted: dict[str, Sensitivity]) -> list[str]:
+    """The detector's two axes, and those of the centre of gravity where theory says something about it."""
+    return ["u", "v", *(axis for axis in CENTRE_AXES if fitted[axis].theory is not None)]
+
+
+def _paper_comparison(published: paper.PublishedAssembly, fits: dict[str, dict[str, Sensitivity]]) -> dict:
+    figures = {
+        dof: {
+            "axis": axis,
+            "paper": value,
+            "simulated": abs(fits[dof][axis].value),
+            "theory": None if fits[dof][axis].theory is None else abs(fits[dof][axis].theory),
+            "unit": unit_of(dof),
+        }
+        for dof, (axis, value) in published.figures.items()
+        if dof in fits
+    }
+    notes = {dof: paper.DOUBTFUL[published.name, dof] for dof in figures if (published.name, dof) in paper.DOUBTFUL}
+    return {"assembly": published.name, "figures": figures, "notes": notes}
+
+
+def _paper_cell(comparison: dict, dof: str, axes: tuple[str, ...]) -> str:
+    entry = comparison["figures"].get(dof)
+    if entry is None or entry["axis"] not in axes:
+        return ""
+    return f"|{entry['axis']}| {entry['paper']:g}" + ("?" if dof in comparison["notes"] else "")
+
+
+def _with_interval(fit: Sensitivity) -> str:
+    if not math.isfinite(fit.value):
+        return "not measured"
+    low, high = fit.ci95
+    return f"{fit.value:+.4f} ± {(high - low) / 2:.4f}" if math.isfinite(low) else f"{fit.value:+.4f}"
+
+
+def _number(value: float | None, form: str = "{:+.4f}") -> str:
+    return "-" if value is None or not math.isfinite(value) else form.format(value)
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)
+
+
+def _plain(value: object) -> object:
+    """Content that JSON can hold: NumPy values as Python's, non-finite numbers as None."""
+    if isinstance(value, dict):
+        return {str(name): _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,273 @@
+"""``python -m speckle_mi.sweep``: moves the target, renders, correlates and reports how far the pattern moves.
+
+    python -m speckle_mi.sweep SCENE [--dof x,y,z,rx,ry,rz] [--range 0.2] [--steps 10] [--seeds 8] [--out DIR]
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from .cli import command, load_scene, say, scene_parser
+from .correlate import Correlator, centre_of_gravity
+from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
+from .statistics import contrast
+
+_PENDING_WRITES = 8
+"""Frames that may wait to be written: bounds the memory they take."""
+
+REFERENCE = "reference"
+"""``dof`` of the frames at rest in sweep.csv."""
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """dofs: which motions; displacements: (n,) [mm or deg]; seeds: which surfaces; window: of the correlation [px]."""
+
+    dofs: tuple[str, ...]
+    displacements: np.ndarray
+    seeds: tuple[int, ...]
+    window: int | None
+
+
+@dataclass(frozen=True)
+class FrameRecord:
+    """What one frame gave: a row of sweep.csv. Shifts and centres of gravity [um], NaN where not measured."""
+
+    dof: str
+    displacement: float
+    unit: str
+    seed: int
+    shift_u_um: float
+    shift_v_um: float
+    shift_x_um: float
+    shift_y_um: float
+    ncc: float
+    cog_u_um: float
+    cog_v_um: float
+    contrast: float
+    seconds: float
+    status: str
+
+
+@dataclass
+class SweepResult:
+    """All frames of a sweep in the order they were made, and what was noticed on the way."""
+
+    records: list[FrameRecord] = field(default_factory=list)
+    plan: list[str] = field(default_factory=list)
+    numerical_error: float = 0.0
+    warnings: dict[str, int] = field(default_factory=dict)
+    example: np.ndarray | None = None
+
+    def values(self, dof: str, name: str, settings: SweepSettings) -> np.ndarray:
+        """Column ``name`` of a motion's frames as (seeds, displacements), less the reference's for cog columns."""
+        seeds = {seed: row for row, seed in enumerate(settings.seeds)}
+        places = {displacement: column for column, displacement in enumerate(settings.displacements)}
+        table = np.full((len(seeds), len(places)), np.nan)
+        origin = np.zeros((len(seeds), 1))
+        for record in self.records:
+            row = seeds[record.seed]
+            if record.dof == dof:
+                table[row, places[record.displacement]] = getattr(record, name)
+            elif record.dof == REFERENCE and name.startswith("cog_"):
+                origin[row] = getattr(record, name)
+        return table - origin
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    start = time.perf_counter()
+    options = _parser().parse_args(arguments)
+    settings = _settings(options)
+    scene = load_scene(options.scene, options.defaults, options.variant)
+    from . import report
+    from .assembly import assembly_from_scene
+
+    assembly = assembly_from_scene(scene)
+    settings = _with_seeds(settings, assembly.seed, options.seeds)
+    folder = Path(options.out or Path("results") / Path(options.scene).stem)
+    identity = _identity(assembly, settings)
+    _claim(folder, identity, options.force)
+    result = SweepResult()
+    try:
+        run_sweep(assembly, settings, folder / "frames", result, quiet=options.quiet)
+    finally:
+        # An interrupted sweep keeps its finished frames and the table of them.
+        report.write_table(folder / "sweep.csv", result)
+    summary = report.summarise(assembly, settings, result)
+    summary["scene"] = options.scene
+    summary["defaults"] = options.defaults
+    summary["identity"] = identity
+    report.write_plots(folder, assembly, settings, result, summary)
+    summary["seconds_total"] = time.perf_counter() - start
+    report.write_summary(folder / "summary.json", summary)
+    if not options.quiet:
+        report.print_report(assembly, settings, summary)
+        say(options, f"{folder}: frames, sweep.csv, summary.json and plots, {summary['seconds_total']:.1f} s in all")
+
+
+def _parser():
+    parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
+    parser.add_argument("--dof", default=",".join(DEGREES_OF_FREEDOM), metavar="x,y,z,rx,ry,rz", help="motions to sweep")
+    parser.add_argument("--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)")
+    parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
+    parser.add_argument("--seeds", type=int, default=8, help="number of surfaces (default: %(default)s)")
+    parser.add_argument("--window", type=int, default=None, help="side of the correlation window, px (default: 256; the paper's: 64)")
+    parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
+    parser.add_argument("--force", action="store_true", help="overwrite results that were made with other settings")
+    return parser
+
+
+def _settings(options) -> SweepSettings:
+    dofs = tuple(name.strip() for name in options.dof.split(",") if name.strip())
+    for name in dofs:
+        if name not in DEGREES_OF_FREEDOM:
+            raise ValueError(f"--dof {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
+    if not dofs or len(set(dofs)) != len(dofs):
+        raise ValueError(f"--dof {options.dof!r}: must name at least one motion, each once")
+    if not (np.isfinite(options.range) and options.range > 0):
+        raise ValueError(f"--range {options.range}: must be above 0 (mm or deg)")
+    if options.steps < 2:
+        raise ValueError(f"--steps {options.steps}: must be at least 2")
+    if options.seeds < 1:
+        raise ValueError(f"--seeds {options.seeds}: must be at least 1")
+    if options.window is not None and options.window < 4:
+        raise ValueError(f"--window {options.window}: must be at least 4 px")
+    displacements = np.linspace(-options.range / 2, options.range / 2, options.steps)
+    return SweepSettings(dofs, displacements, (), options.window)
+
+
+def _with_seeds(settings: SweepSettings, first: int, count: int) -> SweepSettings:
+    return SweepSettings(settings.dofs, settings.displacements, tuple(range(first, first + count)), settings.window)
+
+
+def _identity(assembly, settings: SweepSettings) -> dict:
+    """Everything that determines a sweep's results, as it is compared with what a folder already holds."""
+    return {
+        "scene_hash": assembly.fingerprint(),
+        "dof": list(settings.dofs),
+        "displacements": settings.displacements.tolist(),
+        "seeds": list(settings.seeds),
+        "window": settings.window,
+    }
+
+
+def _claim(folder: Path, identity: dict, force: bool) -> None:
+    """Makes the folder ready; ValueError when it holds results of other settings and ``force`` is not given."""
+    settings_file = folder / "settings.json"
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
+    if settings_file.is_file() and not force:
+        try:
+            held = json.loads(settings_file.read_text(encoding="utf-8"))
+        except ValueError:
+            held = None
+        if held != identity:
+            raise ValueError(f"{folder}: holds results of other settings, give another --out or --force to overwrite them")
+    elif folder.is_dir() and any(folder.iterdir()) and not force and not settings_file.is_file():
+        raise ValueError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
+    (folder / "frames").mkdir(parents=True, exist_ok=True)
+    if force:
+        for stale in (*folder.glob("frames/*.exr"), *folder.glob("*.png"), folder / "summary.json", folder / "sweep.csv"):
+            stale.unlink(missing_ok=True)
+    from .report import write_json
+
+    write_json(settings_file, identity)
+
+
+def run_sweep(assembly, settings: SweepSettings, frames: Path, result: SweepResult, quiet: bool = False) -> None:
+    """Makes all frames of a sweep, adding to ``result`` as it goes and writing images beside the computation."""
+    from .exr import write_field
+
+    total = len(settings.seeds) * (1 + len(settings.dofs) * len(settings.displacements))
+    with ThreadPoolExecutor(max_workers=1) as writer, _progress(quiet) as progress:
+        task = progress.add_task("frames", total=total)
+        pending: list[Future] = []
+
+        def make(surface, pose: Pose, name: str):
+            frame = _simulated(surface, pose, result)
+            while len(pending) >= _PENDING_WRITES:
+                pending.pop(0).result()
+            pending.append(writer.submit(write_field, frames / f"{name}.exr", frame.image))
+            progress.advance(task)
+            return frame.image
+
+        for seed in settings.seeds:
+            _sweep_surface(assembly.with_seed(seed), seed, settings, result, make)
+        for write in pending:
+            write.result()
+
+
+def _sweep_surface(assembly, seed: int, settings: SweepSettings, result: SweepResult, make) -> None:
+    """The reference and every displaced frame of one surface."""
+    start = time.perf_counter()
+    reference = make(assembly, Pose(), f"seed{seed}_reference")
+    if result.example is None:
+        result.example = reference.intensity
+    correlator = Correlator(reference.intensity, settings.window)
+    result.records.append(_record(REFERENCE, 0.0, seed, correlator, reference.intensity, assembly, start))
+    for dof in settings.dofs:
+        for number, displacement in enumerate(settings.displacements):
+            start = time.perf_counter()
+            image = make(assembly, Pose(**{dof: float(displacement)}), f"seed{seed}_{dof}_{number:03d}")
+            result.records.append(_record(dof, float(displacement), seed, correlator, image.intensity, assembly, start))
+
+
+def _simulated(assembly, pose: Pose, result: SweepResult):
+    from .simulate import simulate_frame
+
+    frame = simulate_frame(assembly, pose)
+    result.plan = result.plan or frame.plan
+    result.numerical_error = max(result.numerical_error, frame.numerical_error)
+    for warning in frame.warnings:
+        result.warnings[warning] = result.warnings.get(warning, 0) + 1
+    return frame
+
+
+def _record(
+    dof: str, displacement: float, seed: int, correlator: Correlator, intensity: np.ndarray, assembly, start: float
+) -> FrameRecord:
+    from .theory import project_on_target
+
+    grid = assembly.detector
+    pixel = 1e3 * grid.pitch
+    shift = correlator.shift(intensity)
+    along = np.array([[shift.u_px], [shift.v_px]]) * pixel
+    x, y = project_on_target(along, grid.u, grid.v, assembly.target.frame.axes)[:, 0]
+    cog = np.array(centre_of_gravity(intensity)) * pixel
+    return FrameRecord(
+        dof=dof,
+        displacement=displacement,
+        unit="deg" if dof in DEGREES_OF_FREEDOM and is_rotation(dof) else "mm",
+        seed=seed,
+        shift_u_um=float(along[0, 0]),
+        shift_v_um=float(along[1, 0]),
+        shift_x_um=float(x),
+        shift_y_um=float(y),
+        ncc=shift.ncc,
+        cog_u_um=float(cog[0]),
+        cog_v_um=float(cog[1]),
+        contrast=contrast(intensity),
+        seconds=time.perf_counter() - start,
+        status=shift.status,
+    )
+
+
+def _progress(quiet: bool):
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    return Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        console=Console(stderr=True), disable=quiet, transient=True,
+    )
+
+
+if __name__ == "__main__":
+    raise SystemExit(command(main))
