@@ -50,6 +50,9 @@ FEWEST_SPECKLES = 16
 CONSTANT = 1e-9
 """Variation of a piece of an image, relative to all of the image's, that is taken for rounding."""
 
+ROUNDING = 1e-12
+"""Rounding of an NCC of 1; speckle of 100 px moved by 1e-4 px is already further from it."""
+
 SPECKLE_KURTOSIS = 9.0
 """Fourth moment over squared variance of exponentially distributed intensity."""
 
@@ -92,6 +95,8 @@ def _log_maximum(patch: np.ndarray) -> tuple[tuple[float, float], float] | None:
     coefficients = to_powers[0] @ np.log(patch) @ to_powers[1].T
     place = np.zeros(2)
     free = [axis for axis in (0, 1) if patch.shape[axis] > 1]
+    if not free:
+        return None
     for _ in range(20):
         powers = [_power_derivatives(place[axis], patch.shape[axis]) for axis in (0, 1)]
         value, gradient_v, curvature_v = powers[0] @ coefficients @ powers[1][0]
@@ -113,7 +118,7 @@ def _log_maximum(patch: np.ndarray) -> tuple[tuple[float, float], float] | None:
 def _power_derivatives(x: float, count: int) -> np.ndarray:
     """Powers x^0 ... x^(count-1) and their first and second derivatives, (3, count)."""
     n = np.arange(count)
-    powers = x ** np.arange(count, dtype=float)
+    powers = float(x) ** n
     table = np.zeros((3, count))
     table[0] = powers
     table[1, 1:] = n[1:] * powers[:-1]
@@ -237,6 +242,8 @@ class _Peak:
 def _peak_at(surface: np.ndarray, place: tuple[int, int]) -> _Peak:
     """The maximum of ``surface`` next to the pixel ``place``, by the largest patch that has one."""
     top = float(surface[place])
+    if top > 1.0 - ROUNDING:  # only a copy correlates fully (Cauchy-Schwarz), so it lies exactly here
+        return _Peak(place, (0.0, 0.0), 1.0)
     for radius in (PATCH, 1):
         reach = [radius if n > 1 else 0 for n in surface.shape]
         if all(r <= i < n - r for r, i, n in zip(reach, place, surface.shape)):
@@ -259,10 +266,10 @@ def _threshold(speckles: np.ndarray | float, places: float) -> np.ndarray | floa
 
 def _highest(surface: np.ndarray, pixels: np.ndarray | float, texture: _Texture) -> _Peak:
     """The most significant peak of a correlation surface, each value of which rests on ``pixels`` pixels."""
-    speckles = np.broadcast_to(texture.speckles(pixels), surface.shape)
+    speckles = np.asarray(texture.speckles(pixels))  # one number for stage 1, one a displacement for stage 2
     most = float(speckles.max())
     # With too few speckles everywhere the best of the larger overlaps is still looked up, but proves nothing.
-    enough = speckles >= min(FEWEST_SPECKLES, 0.5 * most)
+    enough = np.broadcast_to(speckles >= min(FEWEST_SPECKLES, 0.5 * most), surface.shape)
     threshold = _threshold(np.maximum(speckles, 1.0), np.count_nonzero(enough) / texture.area)
     ratio = np.where(enough, surface / threshold, 0.0)
     place = _argmax(ratio)
@@ -348,7 +355,8 @@ class Correlator:
         if peak.rival is not None:
             return self._ambiguous(peak, self._corner)
         displacement = tuple(i - c for i, c in zip(peak.place, self._corner))
-        if peak.offset is None:
+        searched = all(places > 1 or n == 1 for places, n in zip(surface.shape, self.shape))
+        if peak.offset is None or not searched:
             return self._symmetric(pattern, displacement, peak, 0.0)
         return self._found(peak, displacement, self.window)
 
@@ -427,7 +435,7 @@ class Correlator:
 
     def _ambiguous(self, peak: _Peak, origin: tuple[int, int] | None) -> Shift:
         if origin is None:
-            message = "the correlation peak has no definite top"
+            message = "the correlation peak has no definite top within what both images share"
         else:
             (v1, u1), (v2, u2) = ([i - o for i, o in zip(place, origin)] for place in (peak.place, peak.rival))
             message = f"shifts of ({u1}, {v1}) and ({u2}, {v2}) px in (u, v) correlate equally well"

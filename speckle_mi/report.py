@@ -106,7 +106,7 @@ def print_report(assembly: Assembly, settings: SweepSettings, summary: dict) -> 
         heads = ["motion", "unit"]
         for axis in axes:
             heads += [f"{axis} simulated", f"{axis} theory"]
-        heads += ["scatter [um]", *(["paper"] if published else [])]
+        heads += ["scatter (um)", *(["paper"] if published else [])]
         for number, head in enumerate(heads):
             table.add_column(head, justify="left" if number < 2 else "right")
         for dof, fitted in summary["fits"].items():
@@ -134,7 +134,7 @@ def _centre_table(summary: dict):
     from rich.table import Table
 
     table = Table(title="Centre of gravity on the detector", box=box.SIMPLE_HEAD, title_justify="left")
-    heads = ["motion", "unit", "u simulated", "u theory", "v simulated", "v theory", "scatter [um]"]
+    heads = ["motion", "unit", "u simulated", "u theory", "v simulated", "v theory", "scatter (um)"]
     paper_axis = {dof: entry for dof, entry in ((summary["paper"] or {}).get("figures") or {}).items()
                   if entry["axis"] in CENTRE_AXES}
     heads += ["paper"] if paper_axis else []

@@ -234,8 +234,7 @@ class _FacetKernel:
         self.lanes, self.surface, self.frame = lanes, surface, frame
         facets = surface.facets
         if len(cells.facet) == 1:
-            row = dr.zeros(lanes.UInt32, 1)
-            block = lane
+            row, block = None, lane
         else:
             row = lanes.UInt32(np.repeat(np.arange(len(cells.facet), dtype=np.uint32), np.prod(cells.size, axis=1)))
             block = lane - self._of_row(cells.start.astype(np.uint32), row, lanes.UInt32)
@@ -253,6 +252,8 @@ class _FacetKernel:
 
     def _of_row(self, values: np.ndarray, row, kind: type | None = None):
         kind = kind or self.lanes.Float64
+        if row is None:
+            return dr.opaque(kind, values[0].item())
         return dr.gather(kind, kind(np.ascontiguousarray(values)), row)
 
     def _vectors(self, values: np.ndarray, row):

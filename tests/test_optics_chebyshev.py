@@ -127,7 +127,8 @@ def test_what_cannot_be_interpolated_is_refused():
         adapt(lambda x: x, np.array([0.0]), np.array([1.0]), 0.0)
 
 
-# --- traced paths ------------------------------------------------------------------------------------------------------
+# --- traced paths
+# ------------------------------------------------------------------------------------------------------
 
 
 def imaging_lens(target_z: float) -> TracedPath:

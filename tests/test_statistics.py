@@ -20,18 +20,21 @@ def speckle_pair(
     seed: int,
     shift: tuple[float, float] = (0.0, 0.0),
     correlation: float = 1.0,
+    angle: float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Fully developed speckle, |mu|^2 = exp[-4 ln2 (u^2/size_u^2 + v^2/size_v^2)], before and after an exact shift.
+    """Fully developed speckle before and after an exact shift, |mu|^2 = exp[-4 ln2 (u^2/size_u^2 + v^2/size_v^2)].
 
     size = (u, v) FWHM [px], shift = (u, v) [px]. A filtered complex Gaussian spectrum, band-limited for sizes of 4 px
     and more, so a phase ramp shifts the pattern exactly. With ``correlation`` c < 1 a share of an independent field is
-    mixed in, so the intensities correlate by c. The images are cut out of larger periodic ones: nothing re-enters.
+    mixed in, so the intensities correlate by c. ``angle`` [rad] turns the speckles' axes from u toward v.
+    The images are cut out of larger periodic ones: nothing re-enters.
     """
-    margin = int(4 * max(size) + max(abs(s) for s in shift))
-    period = tuple(fft.next_fast_len(n + 2 * margin) for n in shape)
+    margins = [int(4 * max(size) + abs(s)) for s in shift[::-1]]
+    period = tuple(fft.next_fast_len(n + 2 * margin) for n, margin in zip(shape, margins))
     fv, fu = fft.fftfreq(period[0])[:, None], fft.fftfreq(period[1])[None, :]
     # mu is the square root of |mu|^2; the power spectrum its transform; the filter the square root of that.
-    amplitude = np.exp(-(np.pi**2) * ((fu * size[0]) ** 2 + (fv * size[1]) ** 2) / (4 * np.log(2)))
+    long, cross = fu * math.cos(angle) + fv * math.sin(angle), fv * math.cos(angle) - fu * math.sin(angle)
+    amplitude = np.exp(-(np.pi**2) * ((long * size[0]) ** 2 + (cross * size[1]) ** 2) / (4 * np.log(2)))
     mean_intensity = 2.0 * np.sum(amplitude**2) / (period[0] * period[1]) ** 2
     generator = np.random.default_rng(seed)
 
@@ -42,7 +45,7 @@ def speckle_pair(
     after = before * np.exp(-2j * np.pi * (fu * shift[0] + fv * shift[1]))
     if correlation < 1.0:
         after = math.sqrt(correlation) * after + math.sqrt(1.0 - correlation) * spectrum()
-    inside = tuple(slice(margin, margin + n) for n in shape)
+    inside = tuple(slice(margin, margin + n) for n, margin in zip(shape, margins))
     reference, moved = (np.abs(fft.ifft2(field, workers=2)[inside]) ** 2 / mean_intensity for field in (before, after))
     return reference, moved
 

@@ -1,8 +1,8 @@
 """Ray aiming: the ray from a source through a given point on the last plane, its path length, amplitude and caustics.
 
-The launch direction is found by Newton's method with the exact Jacobian of the ray map (tangents carried through the trace), damped by
-halving steps that do not bring the ray closer. The same Jacobian is the ray tube: it gives the geometric amplitude, and
-where it vanishes between source and target the ray has touched a caustic.
+The launch direction is found by Newton's method with the exact Jacobian of the ray map (tangents carried through the
+trace), damped by shortening steps that do not bring the ray closer. The same Jacobian is the ray tube: it gives the
+geometric amplitude, and where it vanishes between source and target the ray has touched a caustic.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from speckle_mi.optics.surfaces import Sequence, _dot
-from speckle_mi.optics.trace import Log, RayStatus, _paired, march
+from speckle_mi.optics.surfaces import Sequence, dot
+from speckle_mi.optics.trace import Log, RayStatus, march, paired_rows
 
 TARGET_TOLERANCE = 1e-8
-"""Distance [mm] from ray to target that counts as hit. The path length is corrected for it to first order, so what is left of
-it in the path is its square over the wavefront's radius."""
+"""Distance [mm] from ray to target that counts as hit. The path length is corrected for it to first order, so what is
+left of it in the path is its square over the wavefront's radius."""
 NEWTON_GOAL = 1e-7
 """Miss [mm] from which one more Newton step ends far below ``TARGET_TOLERANCE``."""
 PLANE_TOLERANCE = 1e-6
@@ -37,9 +37,10 @@ class AimedPaths:
     amplitude: (n,) geometric amplitude sqrt(dOmega_source / (dA_target |cos chi_target|)) [1/mm] of a source of unit
     amplitude at unit distance, 1/r in free space; reflection losses are not in it;
     caustics: (n,) focal lines the ray touched on its way; the field is amplitude * exp(i k L - i pi/2 caustics);
-    spread: (n,) cross section of the ray tube per solid angle over the square of the geometric length: 1 in free space, 0 on a caustic;
-    focal_distance: (n,) distance [mm] along the arriving ray from the target to the nearest focal line, either side, inf
-    for a collimated tube; geometric optics needs it to be many depths of focus;
+    spread: (n,) cross section of the ray tube per solid angle over the square of the geometric length: 1 in free space,
+    0 on a caustic;
+    focal_distance: (n,) distance [mm] along the arriving ray from the target to the nearest focal line, either side,
+    inf for a collimated tube; geometric optics needs it to be many depths of focus;
     margins: (r, n) clearance of the rims listed in ``Sequence.rims``, > 0 inside;
     status: (n,) RayStatus codes; a ray beyond a rim is converged all the same.
     """
@@ -63,11 +64,11 @@ class AimedPaths:
 def aim(sequence: Sequence, sources: np.ndarray, targets: np.ndarray) -> AimedPaths:
     """Rays from ``sources`` (n, 3) through ``targets`` (n, 3) on the last surface of ``sequence``, world [mm].
 
-    Where several rays reach a target (beyond a caustic), the one continuously connected with the chief ray is found: the ray
-    between the middles of sources and targets that leaves closest to the first vertex.
+    Where several rays reach a target (beyond a caustic), the one continuously connected with the chief ray is found:
+    the ray between the middles of sources and targets that leaves closest to the first vertex.
     Raises ValueError when the last surface is not a plane that light passes, or a target is not on it.
     """
-    sources, targets = _paired(sources, targets, "sources", "targets")
+    sources, targets = paired_rows(sources, targets, "sources", "targets")
     last = sequence.last.surface
     if not (last.is_plane and sequence.last.action == "pass"):
         raise ValueError("aim: the last interaction must be a plane that light passes ('pass'), where the targets lie")
@@ -98,7 +99,10 @@ class _ChiefRay:
 
 
 def _chief_ray(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> _ChiefRay | None:
-    """The ray through ``target`` that leaves closest to the first vertex; else the one of a coarse fan that lands closest."""
+    """The ray through ``target`` that leaves closest to the first vertex; else that of a fan which lands closest.
+
+    None when no ray of the fan comes through.
+    """
     straight = target - source
     axis = sequence.interactions[0].surface.frame.origin - source
     axis = axis if np.linalg.norm(axis) > 0.0 else straight
@@ -117,7 +121,7 @@ def _chief_ray(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> _C
             usable = np.flatnonzero(good & (status <= worst))
             if usable.size:
                 miss = np.linalg.norm(landing - target[:, None], axis=0)
-                order = -_dot(candidates, axis) if found else miss
+                order = -dot(candidates, axis) if found else miss
                 best = usable[np.argmin(order[usable])]
                 return _ChiefRay(source[:, None], landing[:, best : best + 1], candidates[:, best : best + 1])
     return None
@@ -132,7 +136,7 @@ def _landings(sequence: Sequence, source: np.ndarray, direction: np.ndarray) -> 
 
 
 def _linear_start(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Launch directions (3, n) from the linearised ray map about the chief ray (parabasal optics, no symmetry assumed)."""
+    """Launch directions (3, n) from the ray map linearised about the chief ray, no symmetry assumed."""
     e1, e2 = _transverse(chief.direction)
     state = np.zeros((3, 12, 1))
     state[:, 0], state[:, 1] = chief.source, chief.direction
@@ -150,7 +154,7 @@ def _linear_start(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, targ
 
 
 def _newton(sequence: Sequence, source: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Launch directions (3, n) of the rays through ``target`` (3, n), NaN where none was found from ``start`` (3, n)."""
+    """Launch directions of the rays through ``target``, NaN where none was found from ``start``; all (3, n)."""
     aim_xy = (sequence.last.surface.frame.axes.T @ (target - sequence.last.surface.frame.origin[:, None]))[:2]
     result = np.full_like(start, np.nan)
     active = np.arange(start.shape[1])
@@ -167,7 +171,7 @@ def _newton(sequence: Sequence, source: np.ndarray, target: np.ndarray, start: n
         newton_step = _solve(last.state[:2, 2], last.state[:2, 3], residual)
         done = better & (trial_miss < NEWTON_GOAL)
         result[:, active[done]] = _turned(trial, e1, e2, newton_step)[:, done]
-        # Steps are given in the frame e1, e2 of the direction they start from: the trial's if accepted, else the old one's.
+        # A step belongs to the transverse frame of the direction it starts from: the trial if accepted, else the old.
         direction = np.where(better, trial, direction)
         step = np.where(better, newton_step, 0.25 * step)
         miss = np.where(better, trial_miss, miss)
@@ -207,9 +211,9 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
         a0, a1, a2 = step.tube
         section, slope = a0 + step.length * (a1 + step.length * a2), a1 + 2.0 * step.length * a2
         bend = np.sqrt(np.maximum(slope * slope - 4.0 * section * a2, 0.0))
-        focal_distance = 2.0 * np.abs(section) / (np.abs(slope) + bend)
+        focal_distance = np.where(section == 0.0, 0.0, 2.0 * np.abs(section) / (np.abs(slope) + bend))
         offset = (targets - landing).T
-        path = log.optical_path_length + sequence.last.index_before * _dot(arrival, offset)
+        path = log.optical_path_length + sequence.last.index_before * dot(arrival, offset)
         status = log.status
         hit = np.hypot(*(axes.T @ offset)[:2]) < TARGET_TOLERANCE
         status[~np.isfinite(direction[0]) | ((status <= RayStatus.OUTSIDE_OUTLINE) & ~hit)] = RayStatus.NOT_CONVERGED
@@ -230,8 +234,8 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
 def _zeros_between(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Zeros of a0 + a1 t + a2 t^2 in 0 < t < length, (n,) int.
 
-    The tube's wavefront has two real principal curvatures (Malus and Dupin), so the zeros are real: counted by signs, which
-    still finds the double zero of a point focus when rounding makes its discriminant negative.
+    The tube's wavefront has two real principal curvatures (Malus and Dupin), so the zeros are real: counted by signs,
+    which still finds the double zero of a point focus when rounding makes its discriminant negative.
     """
     end = a0 + length * (a1 + length * a2)
     turn = -0.5 * a1 / a2
@@ -261,11 +265,11 @@ def _transverse(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _turned(direction: np.ndarray, e1: np.ndarray, e2: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """``direction`` (3, n) turned by small ``angles`` (2, n) towards e1, e2; unit."""
     turned = direction + angles[0] * e1 + angles[1] * e2
-    return turned / np.sqrt(_dot(turned, turned))
+    return turned / np.sqrt(dot(turned, turned))
 
 
 def _solve(first: np.ndarray, second: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Newton step (2, n) [rad], no longer than ``MAXIMUM_STEP``, of the Jacobian with columns ``first``, ``second`` (2, n)."""
+    """Newton step (2, n) [rad], at most ``MAXIMUM_STEP`` long; ``first``, ``second`` (2, n): the Jacobian's columns."""
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         determinant = first[0] * second[1] - first[1] * second[0]
         step = np.stack(

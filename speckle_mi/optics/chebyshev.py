@@ -1,8 +1,8 @@
 """Tensor Chebyshev interpolation of smooth functions on boxes in d dimensions.
 
-f(x) = sum c_{j1..jd} T_{j1}(t_1) ... T_{jd}(t_d), t the coordinates scaled to [-1, 1], through the zeros of T_n. For a function that is
-analytic around the box the error falls geometrically with the order, and so do the coefficients, which is how the error is known.
-(L. N. Trefethen, "Approximation Theory and Approximation Practice", SIAM 2013, chapters 2 to 8.)
+f(x) = sum c_{j1..jd} T_{j1}(t_1) ... T_{jd}(t_d), t the coordinates scaled to [-1, 1], through the zeros of T_n. For a
+function that is analytic around the box the error falls geometrically with the order, and so do the coefficients, which
+is how the error is known (L. N. Trefethen, "Approximation Theory and Approximation Practice", SIAM 2013, ch. 2 to 8).
 """
 
 from __future__ import annotations
@@ -62,7 +62,10 @@ class Interpolant:
         return out
 
     def on_grid(self, coordinates: Sequence[np.ndarray]) -> np.ndarray:
-        """Values (m_1, ..., m_d, *value shape) on the tensor grid of ``coordinates``, d arrays (m_i,): one matrix product an axis."""
+        """Values (m_1, ..., m_d, *value shape) on the tensor grid of ``coordinates``, d arrays (m_i,).
+
+        One matrix product an axis, far cheaper than as many scattered points.
+        """
         if len(coordinates) != self.dimension:
             raise ValueError(f"{len(coordinates)} coordinate arrays for a box in {self.dimension} dimensions")
         value = self.coefficients
@@ -75,10 +78,10 @@ class Interpolant:
     def tails(self) -> np.ndarray:
         """Error estimate per axis and value (d, *value shape), from the decay of the coefficients.
 
-        e, the root sum of squares of the last two coefficients along the axis (two, because an even or odd function has every
-        other coefficient zero), and f, that of the two before, predict e^2/f for the next two, and a geometric series of
-        them for all that is left out. Taken ``DECAY_SAFETY`` times, at most e. An axis with fewer than three nodes tells
-        nothing and gives inf, unless its side has no length.
+        e, the root sum of squares of the last two coefficients along the axis (two, because an even or odd function has
+        every other coefficient zero), and f, that of the two before, predict e^2/f for the next two, and a geometric
+        series of them for all that is left out. Taken ``DECAY_SAFETY`` times, at most e. An axis with fewer than three
+        nodes tells nothing and gives inf, unless its side has no length.
         """
         d = self.dimension
         squares = np.abs(self.coefficients) ** 2
@@ -118,7 +121,7 @@ def node_grid(orders: Sequence[int], lower: np.ndarray, upper: np.ndarray) -> np
 
 
 def fit(values: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> Interpolant:
-    """Interpolant of ``values`` (n_1, ..., n_d, *value shape), real or complex, given at ``nodes`` along each of the d axes.
+    """Interpolant of ``values`` (n_1, ..., n_d, *value shape), real or complex, given at ``nodes`` along every axis.
 
     Raises ValueError when the box is not one (lower > upper, unequal lengths) or a value is not finite.
     """
@@ -142,11 +145,11 @@ def adapt(
     tolerance: float | np.ndarray,
     maximum_nodes: int = 200_000,
 ) -> tuple[Interpolant, np.ndarray]:
-    """Interpolant of ``function`` to an absolute ``tolerance``, and the error estimate it is accepted with (*value shape).
+    """Interpolant of ``function`` to an absolute ``tolerance``, and its error estimate (*value shape).
 
-    function: points (n, d) -> values (n, *value shape), real or complex; tolerance: scalar or broadcastable to the value shape,
-    positive. Orders are chosen per axis from a few lines through the box, then proven on the full grid by the decay of the
-    coefficients and by comparison between the nodes; axes that fail get more nodes.
+    function: points (n, d) -> values (n, *value shape), real or complex; tolerance: scalar or broadcastable to the
+    value shape, positive. Orders are chosen per axis from a few lines through the box, then proven on the full grid by
+    the decay of the coefficients and by comparison between the nodes; axes that fail get more nodes.
     Raises ValueError when the tolerance is not met with ``maximum_nodes`` nodes or ``MAXIMUM_ORDER`` an axis.
     """
     lower, upper = _box(lower, upper)
@@ -162,8 +165,8 @@ def adapt(
         size = int(np.prod(orders))
         if size > maximum_nodes or max(orders) > MAXIMUM_ORDER:
             raise ValueError(
-                f"Chebyshev interpolation to {np.min(tolerance):.3g} would need {' x '.join(map(str, orders))} nodes, more than "
-                f"{maximum_nodes} in all or {MAXIMUM_ORDER} an axis: divide the box, or ask for less"
+                f"Chebyshev interpolation to {np.min(tolerance):.3g} would need {' x '.join(map(str, orders))} nodes, "
+                f"more than {maximum_nodes} in all or {MAXIMUM_ORDER} an axis: divide the box, or ask for less"
             )
         values = np.asarray(function(node_grid(orders, lower, upper)))
         interpolant = fit(values.reshape(*orders, *values.shape[1:]), lower, upper)
@@ -180,7 +183,7 @@ def adapt(
 def _line_order(
     function, lower: np.ndarray, upper: np.ndarray, axis: int, through: np.ndarray, tolerance: np.ndarray
 ) -> int:
-    """Nodes that bring what is left out along one axis below ``tolerance``, judged on lines through the points ``through`` (l, d)."""
+    """Nodes that bring what is left out along one axis below ``tolerance``, judged on lines through points (l, d)."""
     if lower[axis] == upper[axis]:
         return 1
     order = 8
@@ -200,7 +203,7 @@ def _line_order(
         if order >= MAXIMUM_ORDER:
             raise ValueError(
                 f"Chebyshev interpolation to {np.min(tolerance):.3g}: axis {axis} is not resolved by {order} nodes "
-                f"(left over: {left[-2]:.3g} tolerances); the function is not smooth there or the tolerance is below rounding"
+                f"(left over: {left[-2]:.3g} tolerances); the function is not smooth or the tolerance is below rounding"
             )
         order *= 2
 

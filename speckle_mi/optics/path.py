@@ -1,4 +1,4 @@
-"""Traced path lengths and amplitudes between sets of points: the exact oracle that smooth interpolation is built from."""
+"""Traced path lengths and amplitudes between sets of points: the exact oracle that interpolation is built from."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class TracedPath:
     def __call__(self, P: np.ndarray, D: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Length (n, m) [mm] and complex amplitude (n, m) [1/mm] from sources P (n, 3) to targets D (m, 3), world [mm].
 
-        The field at D of a unit source at P is amplitude * exp(i k length). The amplitude holds the factor exp(-i pi/2) of every focal
-        line on the way (phasor e^{+ikL}: Gouy's phase). Vignetting is not in it, see ``margins``.
+        The field at D of a unit source at P is amplitude * exp(i k length). The amplitude holds the factor exp(-i pi/2)
+        of every focal line on the way (phasor e^{+ikL}: Gouy's phase). Vignetting is not in it, see ``margins``.
         Raises ValueError when a pair has no ray; reasons are counted in the message.
         """
         aimed = self._aimed(P, D)
@@ -33,7 +33,7 @@ class TracedPath:
         return aimed.optical_path_length.reshape(shape), (aimed.amplitude * phase).reshape(shape)
 
     def margins(self, P: np.ndarray, D: np.ndarray) -> np.ndarray:
-        """Smooth clearance (r, n, m) of the rims listed in ``sequence.rims``; the ray from P to D is free where all are > 0.
+        """Smooth clearance (r, n, m) of the rims in ``sequence.rims``; the ray from P to D is free where all are > 0.
 
         Raises ValueError when a pair has no ray.
         """
@@ -51,6 +51,7 @@ class TracedPath:
                 f"{(lost == code).sum()} {RayStatus(code).name.lower().replace('_', ' ')}" for code in np.unique(lost)
             )
             raise ValueError(
-                f"{lost.size} of {aimed.status.size} pairs of source and target have no ray through the optics: {reasons}"
+                f"{lost.size} of {aimed.status.size} pairs of source and target have no ray through the optics: "
+                f"{reasons}"
             )
         return aimed

@@ -4,8 +4,8 @@ A surface is a plane or a conic of revolution about the local z axis with its ve
 
     c (x^2 + y^2) + c (1 + k) z^2 - 2 z = 0,
 
-c the curvature [1/mm] (positive: centre of curvature on the +z side; 0: plane) and k the conic constant (0 sphere, -1 paraboloid,
-k < -1 hyperboloid). Lengths are mm.
+c the curvature [1/mm] (positive: centre of curvature on the +z side; 0: plane) and k the conic constant (0 sphere, -1
+paraboloid, k < -1 hyperboloid). Lengths are mm.
 """
 
 from __future__ import annotations
@@ -119,9 +119,9 @@ class Surface:
         "vertex": the one met on the sheet through the vertex, crossed in the direction the ray has along z;
         "near", "far": first and second crossing of a closed surface.
 
-        With the ray written from its point closest to the vertex, A t^2 + 2 B t + C = 0, and A t + B = +-sqrt(B^2 - A C) is the
-        ray's slope against the surface, so its sign tells the roots apart. Each root is taken in the form without
-        cancellation; for c -> 0 it goes over into the plane's without a switch.
+        With the ray written from its point closest to the vertex, a t^2 + 2 b t + f = 0, and
+        a t + b = +-sqrt(b^2 - a f) is the ray's slope against the surface, so its sign tells the roots apart. Each root
+        is taken in the form without cancellation; for c -> 0 it goes over into the plane's without a switch.
         """
         if self.is_plane:
             length = -point[2] / direction[2]
@@ -129,11 +129,11 @@ class Surface:
             hit[2] = np.where(np.isfinite(length), 0.0, np.nan)
             return length, hit
         c, k, cosine = self.curvature, self.conic, direction[2]
-        foot = -_dot(point, direction)
+        foot = -dot(point, direction)
         start = point + foot * direction
         a = c * (1.0 + k * cosine * cosine)
         b = (c * k * start[2] - 1.0) * cosine
-        f = c * (_dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
+        f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
         slope = np.sqrt(b * b - a * f)
         if root == "vertex":
             slope = np.where(cosine > 0.0, -slope, slope)
@@ -148,7 +148,8 @@ class Surface:
         return foot + t, start + t * direction
 
 
-def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products of vectors whose components are the first axis, (3, ...)."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -157,8 +158,8 @@ class Interaction:
     """What happens to light at a surface.
 
     action: "refract" (Snell's law), "reflect" (mirror), "pass" (a place the light goes straight through: an aperture, a
-    reference plane, the detector); index_before, index_after: refractive indices of the segments on its way in and out; root: which
-    crossing of the surface is meant, see ``Surface.intersect``.
+    reference plane, the detector); index_before, index_after: refractive indices of the segments on its way in and out;
+    root: which crossing of the surface is meant, see ``Surface.intersect``.
     Build with ``Interaction.refract``, ``.reflect``, ``.through``.
     """
 
@@ -179,7 +180,8 @@ class Interaction:
             )
         if self.action != "refract" and self.index_before != self.index_after:
             raise ValueError(
-                f"{self.action} with indices {self.index_before}, {self.index_after}: the medium changes only by refraction"
+                f"{self.action} with indices {self.index_before}, {self.index_after}: "
+                "the medium changes only by refraction"
             )
         if self.root != "vertex" and not (self.surface.curvature != 0.0 and self.surface.conic > -1.0):
             raise ValueError(
@@ -217,10 +219,11 @@ class Sequence:
         object.__setattr__(self, "interactions", tuple(self.interactions))
         if not self.interactions:
             raise ValueError("optical sequence is empty: it must at least hold the plane where the light ends")
-        for i, (one, two) in enumerate(zip(self.interactions, self.interactions[1:])):
+        for i, (one, two) in enumerate(zip(self.interactions, self.interactions[1:], strict=False)):
             if one.index_after != two.index_before:
                 raise ValueError(
-                    f"optical sequence: index {one.index_after} after interaction {i} but {two.index_before} before interaction {i + 1}"
+                    f"optical sequence: index {one.index_after} after interaction {i} "
+                    f"but {two.index_before} before interaction {i + 1}"
                 )
         rims = [
             (i, j)

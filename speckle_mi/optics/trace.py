@@ -1,8 +1,9 @@
 """Exact sequential ray tracing in float64: hit points, directions, optical path lengths, clearances of rims.
 
-All rays advance together, one interaction at a time, in the local frame of each surface. A ray may carry tangents, the derivatives of
-its position and direction along some parameters; they are propagated by the exact linearisation of transfer, refraction and reflection
-(ray differentials; H. Igehy, "Tracing ray differentials", SIGGRAPH 1999, doi:10.1145/311535.311555).
+All rays advance together, one interaction at a time, in the local frame of each surface. A ray may carry tangents, the
+derivatives of its position and direction along some parameters; they are propagated by the exact linearisation of
+transfer, refraction and reflection (ray differentials; H. Igehy, "Tracing ray differentials", SIGGRAPH 1999,
+doi:10.1145/311535.311555).
 
 State of n rays with T tangents: (3, 2 + 2T, n) = position, unit direction, T position tangents, T direction tangents.
 """
@@ -15,14 +16,14 @@ from enum import IntEnum
 
 import numpy as np
 
-from speckle_mi.optics.surfaces import Interaction, Sequence, _dot
+from speckle_mi.optics.surfaces import Interaction, Sequence, dot
 
 BEHIND_TOLERANCE = 1e-9
 """A surface this far behind the ray's start [mm] still counts as met: a source may lie on it, rounded."""
 
 
 class RayStatus(IntEnum):
-    """What became of a ray. Beyond MISSED and TOTAL_INTERNAL_REFLECTION there is no ray, its results are NaN."""
+    """What became of a ray. After MISSED and TOTAL_INTERNAL_REFLECTION there is no ray, its results are NaN."""
 
     OK = 0
     OUTSIDE_OUTLINE = 1
@@ -41,8 +42,10 @@ class Trace:
 
     points: (s, n, 3) hit points, world [mm]; directions: (n, 3) unit, after the last interaction;
     optical_path_length: (n,) sum of index times length, from the origin to the last surface [mm];
-    margins: (r, n) smooth signed clearance of the rims listed in ``Sequence.rims``, > 0 inside; no row where a surface has no outline;
-    status: (n,) RayStatus codes, the worst that happened; stopped_at: (n,) the interaction where it first did, -1 if nothing.
+    margins: (r, n) smooth signed clearance of the rims listed in ``Sequence.rims``, > 0 inside; a surface without an
+    outline has no row;
+    status: (n,) RayStatus codes, the worst that happened;
+    stopped_at: (n,) the interaction where it first did, -1 if nothing.
     """
 
     points: np.ndarray
@@ -62,8 +65,8 @@ class Trace:
 class Step:
     """One interaction of ``march``, in the local frame of its surface.
 
-    state: the rays after the interaction; length: (n,) [mm] from the interaction before; reflected_totally: (n,) or None; tube: the
-    three coefficients (n,) of the ray tube's cross section on the way in, see ``march``, or None.
+    state: the rays after the interaction; length: (n,) [mm] from the interaction before; reflected_totally: (n,) or
+    None; tube: the three coefficients (n,) of the ray tube's cross section on the way in, see ``march``, or None.
     """
 
     interaction: Interaction
@@ -76,9 +79,10 @@ class Step:
 def trace(sequence: Sequence, origins: np.ndarray, directions: np.ndarray) -> Trace:
     """Follow rays from ``origins`` (n, 3) [mm] along ``directions`` (n, 3) (any length) through ``sequence``.
 
-    Rays outside an outline go on as if there were none. Raises ValueError for shapes that do not fit or a direction of length zero.
+    Rays outside an outline go on as if there were none. Raises ValueError for shapes that do not fit or a direction of
+    length zero.
     """
-    origins, directions = _paired(origins, directions, "origins", "directions")
+    origins, directions = paired_rows(origins, directions, "origins", "directions")
     norm = np.linalg.norm(directions, axis=1, keepdims=True)
     if not np.all(norm > 0.0):
         raise ValueError("directions: every ray needs a direction of non-zero, finite length")
@@ -93,7 +97,7 @@ def trace(sequence: Sequence, origins: np.ndarray, directions: np.ndarray) -> Tr
 
 
 class Log:
-    """Path length, margins and status of n rays, gathered step by step."""
+    """Path length, margins and status of n rays, gathered from the steps of ``march``."""
 
     def __init__(self, n: int) -> None:
         self.optical_path_length = np.zeros(n)
@@ -103,6 +107,7 @@ class Log:
         self._index = 0
 
     def add(self, step: Step) -> None:
+        """Account for the next interaction."""
         self.optical_path_length += step.interaction.index_before * step.length
         x, y, _ = step.state[:, 0]
         outline = step.interaction.surface.outline
@@ -121,7 +126,7 @@ class Log:
         return np.concatenate(self.margins) if self.margins else np.empty((0, self.status.size))
 
     def _note(self, where: np.ndarray, status: RayStatus) -> None:
-        # A ray that has ended is NaN from there on; what ended it stays its reason, having the higher code or the earlier place.
+        # A ray that has ended is NaN from there on; the reason it ended for came first, so it stays.
         where = where & (self.status < status)
         self.status[where] = status
         self.stopped_at[where] = self._index
@@ -161,11 +166,13 @@ def _change_frame(state: np.ndarray, rotation: np.ndarray, shift: np.ndarray) ->
 
 
 def _tube(state: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients of d . ((p1 + t d1) x (p2 + t d2)), (n,) each."""
     _, d, p1, p2, d1, d2 = np.moveaxis(state, 1, 0)
     return _triple(d, p1, p2), _triple(d, p1, d2) + _triple(d, d1, p2), _triple(d, d1, d2)
 
 
 def _triple(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """a . (b x c), (n,)."""
     x = b[1] * c[2] - b[2] * c[1]
     y = b[2] * c[0] - b[0] * c[2]
     z = b[0] * c[1] - b[1] * c[0]
@@ -175,7 +182,10 @@ def _triple(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 def _transfer(
     interaction: Interaction, state: np.ndarray, count: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Move the rays onto the surface, in place: lengths (n,), unit normals N (3, n) or (3, 1), their tangents (3, T, n) or None."""
+    """Move the rays onto the surface, in place.
+
+    Returns lengths (n,), unit normals N (3, n) or (3, 1) and their tangents (3, T, n), None if zero or unused.
+    """
     surface = interaction.surface
     direction = state[:, 1]
     length, state[:, 0] = surface.intersect(state[:, 0], direction, interaction.root)
@@ -183,38 +193,38 @@ def _transfer(
         normal = np.array([[0.0], [0.0], [1.0]])
     else:
         gradient = surface.gradient(state[:, 0])
-        scale = 1.0 / np.sqrt(_dot(gradient, gradient))
+        scale = 1.0 / np.sqrt(dot(gradient, gradient))
         normal = gradient * scale
     if not count:
         return length, normal, None
     # The tangent's hit stays on the surface: the length varies by -(N . dp)/(N . d).
     tangents = state[:, 2 : 2 + count]
     tangents += length * state[:, 2 + count :]
-    along = tangents[2] if surface.is_plane else _dot(normal[:, None], tangents)
-    incidence = direction[2] if surface.is_plane else _dot(normal, direction)
+    along = tangents[2] if surface.is_plane else dot(normal[:, None], tangents)
+    incidence = direction[2] if surface.is_plane else dot(normal, direction)
     tangents -= direction[:, None] * (along / incidence)
     if surface.is_plane or interaction.action == "pass":
         return length, normal, None
     normal_tangents = (surface.curvature * scale) * tangents
     normal_tangents[2] *= 1.0 + surface.conic
-    normal_tangents -= normal[:, None] * _dot(normal[:, None], normal_tangents)
+    normal_tangents -= normal[:, None] * dot(normal[:, None], normal_tangents)
     return length, normal, normal_tangents
 
 
 def _incidence(state: np.ndarray, count: int, normal: np.ndarray, normal_tangents: np.ndarray | None):
     """u = N . d (n,) and its tangents (T, n)."""
     direction = state[:, 1]
-    tangents = _dot(normal[:, None], state[:, 2 + count :])
+    tangents = dot(normal[:, None], state[:, 2 + count :])
     if normal_tangents is not None:
-        tangents += _dot(normal_tangents, direction[:, None])
-    return _dot(normal, direction), tangents
+        tangents += dot(normal_tangents, direction[:, None])
+    return dot(normal, direction), tangents
 
 
 def _refract(interaction: Interaction, state: np.ndarray, count: int, normal, normal_tangents) -> np.ndarray:
     """Snell's law d' = eta d + gamma N, in place; returns the mask (n,) of total internal reflection.
 
-    gamma = w - eta u = (1 - eta^2) / (w + eta u), u = N . d, w = sign(u) sqrt(1 - eta^2 + eta^2 u^2): exactly nothing for
-    equal indices.
+    gamma = w - eta u = (1 - eta^2) / (w + eta u), u = N . d, w = sign(u) sqrt(1 - eta^2 + eta^2 u^2): exactly nothing
+    for equal indices.
     """
     eta = interaction.index_before / interaction.index_after
     u, u_tangents = _incidence(state, count, normal, normal_tangents)
@@ -241,7 +251,7 @@ def _reflect(state: np.ndarray, count: int, normal: np.ndarray, normal_tangents:
             state[:, 2 + count :] -= 2.0 * u * normal_tangents
 
 
-def _paired(one: np.ndarray, two: np.ndarray, name_one: str, name_two: str) -> tuple[np.ndarray, np.ndarray]:
+def paired_rows(one: np.ndarray, two: np.ndarray, name_one: str, name_two: str) -> tuple[np.ndarray, np.ndarray]:
     """Both as float64 (n, 3), or ValueError."""
     one, two = np.asarray(one, dtype=np.float64), np.asarray(two, dtype=np.float64)
     if one.ndim != 2 or one.shape[1] != 3 or one.shape != two.shape:

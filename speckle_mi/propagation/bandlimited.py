@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import product
 
 import drjit as dr
 import numpy as np
@@ -20,6 +19,7 @@ from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import chebyshev_nodes, interpolation_matrix
 from .direct import SINGLE_PRECISION, WRITE, backend, phasor, supports
 from .paths import Path
+from .sources import SourceBox, for_chunks
 
 PROBES = 17
 """Places along each side of the target where the local bandwidth is measured."""
@@ -65,19 +65,43 @@ def nodes_for(half_turns: float, tolerance: float) -> int:
     return int(np.argmax(tail < tolerance)) + 2
 
 
-def source_box(sources: np.ndarray) -> np.ndarray:
-    """Centre and the eight corners (9, 3) [mm] of a box around the sources, flat where the sources are flat."""
-    some = sources[:: max(1, len(sources) // 4096)]
-    middle = some.mean(axis=0)
-    axes = np.linalg.svd(some - middle, full_matrices=False)[2] if len(some) > 2 else np.eye(3)
-    return _box_corners(sources, np.vstack([axes, np.eye(3)[len(axes) :]]) if len(axes) < 3 else axes)
+def extreme_sources(path: Path, sources: np.ndarray, box: SourceBox, target: PlaneGrid | PlanePoints) -> np.ndarray:
+    """The box centre and the sources that bound the bandwidth, (1 + q, 3) [mm].
+
+    The slope of the path along u or v is nearly linear in the source, with a direction in the box that is measured at the
+    middle and the corners of the target; the sources farthest along these directions bound it, all others lie between.
+    """
+    rectangle = Rectangle.around(target)
+    faces = box.to_world(np.vstack([np.eye(3), -np.eye(3)]))
+    directions = []
+    for fraction_a, fraction_b in ((0.5, 0.5), (0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
+        for axis in (0, 1):
+            ends = []
+            for shift in (-0.02, 0.02):
+                part = np.array([fraction_a, fraction_b])
+                part[axis] += shift
+                ends.append([side[0] + p * (side[1] - side[0]) for side, p in zip((rectangle.a, rectangle.b), part)])
+            a, b = np.array(ends).T
+            length = path(faces, PlanePoints(target.origin, target.u, target.v, a, b).points())[0]
+            slope = length[:, 1] - length[:, 0]
+            directions.append(slope[:3] - slope[3:])
+    directions = np.array(directions)
+    norm = np.linalg.norm(directions, axis=1)
+    if not norm.any():
+        return box.centre[None]
+    directions = (directions[norm > 0] / norm[norm > 0, None]).astype(np.float32)
+
+    def extremes(chunk: slice) -> np.ndarray:
+        along = directions @ box.to_local(sources[chunk]).T.astype(np.float32)
+        return chunk.start + np.concatenate([along.argmax(axis=1), along.argmin(axis=1)])
+
+    found = np.unique(np.concatenate(for_chunks(extremes, len(sources))))
+    return np.vstack([box.centre, sources[found] if len(found) < 64 else sources[found[_hull(box, sources[found], directions)]]])
 
 
-def _box_corners(sources: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    along = sources @ axes.T
-    low, high = along.min(axis=0), along.max(axis=0)
-    corners = [[(low, high)[pick][axis] for axis, pick in enumerate(picks)] for picks in product((0, 1), repeat=3)]
-    return np.vstack([(low + high) / 2, corners]) @ axes
+def _hull(box: SourceBox, sources: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    along = directions @ box.to_local(sources).T
+    return np.unique(np.concatenate([along.argmax(axis=1), along.argmin(axis=1)]))
 
 
 def local_bandwidth(
@@ -91,7 +115,7 @@ def local_bandwidth(
     length = path(box, places)[0].reshape(len(box), PROBES, PROBES)
     turns = (length[1:] - length[0]) / wavelength
     return tuple(
-        BANDWIDTH_MARGIN * float(np.abs(np.diff(turns, axis=axis)).max()) / step if (step := side[1] - side[0]) > 0 else 0.0
+        BANDWIDTH_MARGIN * float(np.abs(np.diff(turns, axis=axis)).max(initial=0.0)) / step if (step := side[1] - side[0]) > 0 else 0.0
         for side, axis in ((a, 2), (b, 1))
     )
 

@@ -6,20 +6,31 @@ tolerance there is replaced by a better one rather than believed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ..geometry import PlaneGrid, PlanePoints
-from .bandlimited import band_limited_sum, node_grid, source_box
-from .direct import SINGLE_PRECISION, direct_sum, supports
+from .bandlimited import NodeGrid, band_limited_sum, extreme_sources, node_grid
+from .direct import SINGLE_PRECISION, active_variant, direct_sum, supports
+from .lowrank import LowRank, expand, low_rank_sum
+from .machine import Costs, measured_costs
 from .paths import Path
-from .reference import reference_sum
+from .reference import reference_sum, sample_of
+from .sources import SourceBox
 
 METHODS = ("auto", "direct", "fast")
 
-SAMPLE_SEED = 20220601
-"""Seed of the sample of target points on which the error is measured."""
+TIGHTEST = 1e-7
+"""Tolerance of ``direct`` for a path without closed form."""
+
+EXPANSION_SECONDS = 0.03
+"""What finding an expansion costs at least: not tried where the sum without it takes less."""
+
+SAMPLED_PAIRS = 10_000_000
+"""Pairs spent on measuring the error, as far as between 8 and 64 sampled points allow."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +46,15 @@ class SumResult:
     numerical_error: float
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """A way of doing the sum: what it is called, how long it should take [s], and how to do it."""
+
+    name: str
+    seconds: float
+    field: Callable[[], np.ndarray]
+
+
 def coherent_sum(
     path: Path,
     sources: np.ndarray,
@@ -46,62 +66,146 @@ def coherent_sum(
 ) -> SumResult:
     """E_m = sum_j c_j A(P_j, D_m) e^{+ikV(P_j, D_m)} on all points of the target.
 
-    sources: (n, 3) [mm]; weights c: (n,) complex; wavelength [mm]; method: ``direct`` every pair, ``fast`` few nodes,
-    ``auto`` the cheaper; tolerance: relative L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1.
+    sources: (n, 3) [mm]; weights c: (n,) complex; wavelength [mm]. method: ``direct`` takes every pair (for a path without closed
+    form: the expansion at its tightest), ``fast`` the cheapest of the others, ``auto`` the cheapest of all. tolerance: relative
+    L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; a method that misses it is replaced.
     Raises ValueError for arrays of the wrong shape, values that are not finite, and parameters out of range.
     """
     sources, weights = _checked(sources, weights, target, wavelength, method, tolerance)
-    if len(sources) == 0:
-        return SumResult(np.zeros(_shape(target), dtype=np.complex128), "no sources: the field is zero", 0.0)
-    pairs = len(sources) * target.size
-    if method != "direct":
-        box = source_box(sources)
-        nodes = node_grid(path, box, target, wavelength, tolerance)
-        if 4 * nodes.size < target.size:
-            field = band_limited_sum(
-                lambda places: direct_sum(path, sources, weights, places, wavelength, tolerance / 4),
-                path, box[0], nodes, target, wavelength, tolerance,
-            )  # fmt: skip
-            error = measured_error(field, path, sources, weights, target, wavelength, tolerance)
-            if error <= tolerance:
-                count = f"{nodes.count[0]} x {nodes.count[1]}"
-                plan = f"band-limited: exact sum on {count} nodes, interpolated to {target.size} points"
-                return SumResult(field, plan, error)
-    field = direct_sum(path, sources, weights, target, wavelength, SINGLE_PRECISION if method == "direct" else tolerance)
-    error = measured_error(field, path, sources, weights, target, wavelength, tolerance)
-    return SumResult(field, f"direct: every one of {pairs:.3g} pairs", error)
+    if not weights.any():
+        return SumResult(np.zeros(_shape(target), dtype=np.complex128), "dark: no source has any weight", 0.0)
+    if method == "direct":
+        tolerance = SINGLE_PRECISION if supports(path) else TIGHTEST
+    task = Task(path, sources, weights, target, wavelength, tolerance)
+    if method == "direct" and supports(path):
+        return task.result(task.every_pair(), "as asked")
+    return _first_that_holds(task, measured_costs(active_variant()), with_pairs=method == "auto")
 
 
-def measured_error(
-    field: np.ndarray,
-    path: Path,
-    sources: np.ndarray,
-    weights: np.ndarray,
-    target: PlaneGrid | PlanePoints,
-    wavelength: float,
-    tolerance: float,
-) -> float:
-    """Relative L2 error of ``field`` on a random sample of points, against the exact float64 sum.
+def _first_that_holds(task: Task, costs: Costs, with_pairs: bool) -> SumResult:
+    """The result of the cheapest candidate that keeps the tolerance; every pair is the last resort."""
+    missed = ""
+    for share in (1.0, 0.03):
+        for candidate in replace(task, tolerance=max(share * task.tolerance, 1e-9)).candidates(costs, with_pairs):
+            result = task.result(candidate, f"predicted {1e3 * candidate.seconds:.3g} ms, the least{missed}")
+            if result.numerical_error <= task.tolerance:
+                return result
+            missed += f"; {candidate.name} missed with {result.numerical_error:.1e}"
+    return task.result(task.every_pair(), f"nothing cheaper keeps {task.tolerance:.0e}{missed}")
 
-    The sample shrinks with the number of sources so that it stays a small part of the work; the scale of the error is
-    the root mean square of the whole field, which a small sample of a speckle pattern does not know.
-    """
-    count = int(np.clip(10_000_000 // len(sources), 8, 64))
-    pick = np.random.default_rng(SAMPLE_SEED).integers(target.size, size=min(count, target.size))
-    if isinstance(target, PlaneGrid):
-        row, column = np.divmod(pick, target.shape[1])
-        places = PlanePoints(target.origin, target.u, target.v, column * target.pitch, row * target.pitch)
-    else:
-        places = PlanePoints(target.origin, target.u, target.v, target.a[pick], target.b[pick])
-    if supports(path):
-        exact = direct_sum(path, sources, weights, places, wavelength, 0.0)
-    else:
-        exact = reference_sum(path, sources, weights, places.points(), wavelength)
-    flat = field.reshape(-1)
-    mean_square = max(np.vdot(flat, flat).real / flat.size, np.vdot(exact, exact).real / exact.size * 1e-6)
-    if mean_square == 0.0:
-        return 0.0
-    return float(np.sqrt(np.mean(np.abs(flat[pick] - exact) ** 2) / mean_square))
+
+@dataclass(frozen=True)
+class Task:
+    """The arguments of a coherent sum, with what several methods need to know about them."""
+
+    path: Path
+    sources: np.ndarray
+    weights: np.ndarray
+    target: PlaneGrid | PlanePoints
+    wavelength: float
+    tolerance: float
+
+    @cached_property
+    def box(self) -> SourceBox:
+        return SourceBox.around(self.sources, self.target.u)
+
+    @cached_property
+    def nodes(self) -> NodeGrid:
+        bounds = extreme_sources(self.path, self.sources, self.box, self.target)
+        return node_grid(self.path, bounds, self.target, self.wavelength, self.tolerance)
+
+    def candidates(self, costs: Costs, with_pairs: bool) -> list[Candidate]:
+        """The methods that apply, cheapest first; an expansion is only looked for where it can pay."""
+        found = []
+        count, shape = len(self.sources), _shape(self.target)
+        interpolation = costs.interpolation(self.nodes.count, shape if len(shape) == 2 else (shape[0], 1))
+        few_nodes = self.nodes.size < 0.7 * self.target.size
+        if supports(self.path):
+            slow_down = 1 if self.tolerance >= SINGLE_PRECISION else 3
+            if with_pairs:
+                seconds = slow_down * count * self.target.size * costs.grid_pair
+                found.append(replace(self.every_pair(), seconds=seconds))
+            if few_nodes:
+                seconds = slow_down * count * self.nodes.size * costs.point_pair + interpolation
+                found.append(Candidate(f"every source on {self._node_text}", seconds, lambda: self._on_nodes(self._exact)))
+        best = min((candidate.seconds for candidate in found), default=np.inf)
+        least = EXPANSION_SECONDS + 2 * count * costs.nufft_point
+        if best > least:
+            expansion = expand(
+                self.path, self.sources, self.weights, self.target, self.box, self.wavelength, self.tolerance / 2
+            )
+            if expansion is not None:
+                found.append(self._expanded(expansion, costs, few_nodes, interpolation))
+        return sorted(found, key=lambda candidate: candidate.seconds)
+
+    def _expanded(self, expansion: LowRank, costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
+        def low_rank(places: PlanePoints) -> np.ndarray:
+            return low_rank_sum(expansion, self.sources, self.weights, places)
+
+        seconds = (expansion.rank + 2) * costs.nufft_point * len(self.sources) * expansion.cost_factor
+        name = f"NUFFT of rank {expansion.rank}"
+        if few_nodes:
+            return Candidate(f"{name} on {self._node_text}", seconds + interpolation, lambda: self._on_nodes(low_rank))
+        seconds += expansion.rank * costs.nufft_point * self.target.size * expansion.cost_factor
+        return Candidate(f"{name} on all points", seconds, lambda: _in_parts(low_rank, self.target))
+
+    @property
+    def _node_text(self) -> str:
+        return f"{self.nodes.count[0]} x {self.nodes.count[1]} nodes of {self.target.size} points"
+
+    def _exact(self, places: PlanePoints) -> np.ndarray:
+        return direct_sum(self.path, self.sources, self.weights, places, self.wavelength, self.tolerance)
+
+    def _on_nodes(self, evaluate: Callable[[PlanePoints], np.ndarray]) -> np.ndarray:
+        return band_limited_sum(
+            evaluate, self.path, self.box.centre, self.nodes, self.target, self.wavelength, self.tolerance
+        )
+
+    def every_pair(self) -> Candidate:
+        """Every pair of source and point: the kernel for a closed form, NumPy for any other path."""
+
+        def field() -> np.ndarray:
+            if supports(self.path):
+                return direct_sum(self.path, self.sources, self.weights, self.target, self.wavelength, self.tolerance)
+            return self._reference(self.target).reshape(_shape(self.target))
+
+        return Candidate(f"every one of {len(self.sources) * self.target.size:.3g} pairs", np.inf, field)
+
+    def _reference(self, places: PlaneGrid | PlanePoints) -> np.ndarray:
+        return reference_sum(self.path, self.sources, self.weights, places.points(), self.wavelength)
+
+    def result(self, candidate: Candidate, why: str) -> SumResult:
+        """Does the sum and measures its relative L2 error on sampled points, against the exact float64 sum."""
+        field = candidate.field()
+        count = int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64))
+        pick, places = sample_of(self.target, count)
+        if supports(self.path):
+            exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, tolerance=0.0)
+        else:
+            exact = self._reference(places)
+        flat = field.reshape(-1)
+        # The scale is the whole field's: a few points of a speckle pattern do not know it.
+        mean_square = float(np.vdot(flat, flat).real) / flat.size
+        error = float(np.sqrt(np.mean(np.abs(flat[pick] - exact) ** 2) / mean_square)) if mean_square > 0 else np.inf
+        return SumResult(field, f"{candidate.name} ({why})", error)
+
+
+POINTS_AT_ONCE = 1 << 20
+"""Points of the target for which an expansion is evaluated at once."""
+
+
+def _in_parts(evaluate: Callable[[PlanePoints], np.ndarray], target: PlaneGrid | PlanePoints) -> np.ndarray:
+    """``evaluate`` on all points of the target, in parts of bounded memory."""
+    field = np.empty(target.size, dtype=np.complex128)
+    for first in range(0, target.size, POINTS_AT_ONCE):
+        index = np.arange(first, min(first + POINTS_AT_ONCE, target.size))
+        if isinstance(target, PlaneGrid):
+            row, column = np.divmod(index, target.shape[1])
+            a, b = column * target.pitch, row * target.pitch
+        else:
+            a, b = target.a[index], target.b[index]
+        field[index] = evaluate(PlanePoints(target.origin, target.u, target.v, a, b))
+    return field.reshape(_shape(target))
 
 
 def _shape(target: PlaneGrid | PlanePoints) -> tuple[int, ...]:

@@ -61,11 +61,16 @@ def supports(path: object) -> bool:
     return isinstance(path, (FreeSpace, RayleighSommerfeld))
 
 
-def backend() -> ModuleType:
-    """The Dr.Jit backend of the active Mitsuba variant: ``drjit.cuda`` for CUDA variants, else ``drjit.llvm``."""
+def active_variant() -> str:
+    """Name of the active Mitsuba variant, empty before one is set."""
     import mitsuba
 
-    if (mitsuba.variant() or "").startswith("cuda"):
+    return mitsuba.variant() or ""
+
+
+def backend() -> ModuleType:
+    """The Dr.Jit backend of the active Mitsuba variant: ``drjit.cuda`` for CUDA variants, else ``drjit.llvm``."""
+    if active_variant().startswith("cuda"):
         import drjit.cuda as module
     else:
         import drjit.llvm as module

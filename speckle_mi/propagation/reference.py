@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry import PlaneGrid, PlanePoints
 from .paths import Path
+
+SAMPLE_SEED = 20220601
+"""Seed of the sample of target points on which errors are measured."""
 
 PAIRS_AT_ONCE = 1 << 20
 """Pairs per chunk: a few arrays of 8 to 16 MB, whatever the number of sources and targets."""
@@ -29,3 +33,14 @@ def reference_sum(
             turns -= np.round(turns)
             field[chunk] += weights[some] @ (amplitude * np.exp(2j * np.pi * turns))
     return field
+
+
+def sample_of(target: PlaneGrid | PlanePoints, count: int) -> tuple[np.ndarray, PlanePoints]:
+    """Flat indices (count,) of random points of the target, always the same ones, and the points themselves."""
+    pick = np.random.default_rng(SAMPLE_SEED).integers(target.size, size=min(count, target.size))
+    if isinstance(target, PlaneGrid):
+        row, column = np.divmod(pick, target.shape[1])
+        a, b = column * target.pitch, row * target.pitch
+    else:
+        a, b = target.a[pick], target.b[pick]
+    return pick, PlanePoints(target.origin, target.u, target.v, a, b)
