@@ -76,7 +76,8 @@ import mitsuba as mi
 import numpy as np
 
 from speckle_mi.files import mesh_from_file, points_from_csv, resolve
-from speckle_mi.geometry import DEGREES_OF_FREEDOM, Pose
+from speckle_mi.geometry import DEGREES_OF_FREEDOM, Frame, Pose
+from speckle_mi.mesh import fill_mesh, move_mesh
 from speckle_mi.parameters import (
     SceneError, check_number, describe, read_boolean, read_integer, read_number, stored, value_of,
 )
@@ -105,8 +106,10 @@ class RoughTarget(mi.Mesh):
             setattr(self, name, stored(0.0))
         vertices, faces = self._read_form(props)
         self.points = self._read_points(props)
+        self.precise_transforms: dict[str, np.ndarray] = {}
         super().__init__(props)
-        self._fill(vertices, faces)
+        self.rest_vertices = vertices
+        fill_mesh(self, self._place(), vertices, faces)
 
     def pose(self) -> Pose:
         """Displacement from rest."""
@@ -129,18 +132,8 @@ class RoughTarget(mi.Mesh):
             return None
         return PointScatterers(*points_from_csv(resolve(props, "points"), self.where))
 
-    def _fill(self, vertices: np.ndarray, faces: np.ndarray) -> None:
-        self.rest_vertices = vertices
-        parameters = mi.traverse(self)
-        parameters["faces"] = mi.UInt32(faces.ravel().astype(np.uint32))
-        parameters["vertex_positions"] = self._placed_vertices()
-        parameters["vertex_normals"] = mi.Float()
-        parameters["vertex_texcoords"] = mi.Float()
-        parameters.update()
-
-    def _placed_vertices(self):
-        moved = self.placement.frame.moved(self.pose()).to_world(self.rest_vertices)
-        return mi.Float(moved.ravel().astype(np.float32))
+    def _place(self) -> Frame:
+        return self.placement.frame.moved(self.pose())
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
@@ -154,9 +147,7 @@ class RoughTarget(mi.Mesh):
         self.placement.parameters_changed(keys, self.where)
         keys = list(keys)
         if {"to_world", *DEGREES_OF_FREEDOM}.intersection(keys):
-            mesh = mi.traverse(self)
-            mesh["vertex_positions"] = self._placed_vertices()
-            keys.append("vertex_positions")
+            keys += move_mesh(self, self._place(), self.rest_vertices)
         super().parameters_changed(keys)
 
     def to_string(self) -> str:

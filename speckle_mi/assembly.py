@@ -13,9 +13,10 @@ from dataclasses import dataclass, replace
 import mitsuba as mi
 import numpy as np
 
+from .elements import Element, elements_of
 from .geometry import Frame, PlaneGrid, Pose
 from .illumination import Beam
-from .parameters import SceneError, describe_shape, integer_of, value_of
+from .parameters import SceneError, integer_of, value_of
 from .surface import PointScatterers, RoughSurface
 
 GRAZING = 1e-9
@@ -56,14 +57,16 @@ class Target:
 
 @dataclass(frozen=True)
 class Assembly:
-    """One laser, one target, one detector and what the scene asks of the integrator."""
+    """One laser, one target, one detector, the elements between, and what the scene asks of the integrator."""
 
     beam: Beam
     target: Target
+    elements: tuple[Element, ...]
     detector: PlaneGrid
     options: Options
     pose: Pose
     sub_pixels: int
+    scene: mi.Scene
 
     @property
     def seed(self) -> int:
@@ -93,6 +96,7 @@ class Assembly:
             "target": [_digits(target.frame.origin), _digits(target.frame.axes), repr(target.lobe)]
             + [repr(value) for value in (target.surface.density, target.surface.roughness, target.surface.correlation_length)]
             + [_hash(facets.origin, facets.e1, facets.e2, facets.bounds, facets.edges)],
+            "elements": [element.describe() for element in self.elements],
             "points": None if points is None else _hash(points.points, points.weights),
             "detector": [_digits(grid.origin), _digits(grid.u), _digits(grid.v), repr(grid.pitch), list(grid.shape)],
             "sub_pixels": self.sub_pixels,
@@ -118,19 +122,17 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
     for emitter in scene.emitters():
         if emitter is not laser:
             raise SceneError(f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: its light would be left out, remove it")
-    for shape in scene.shapes():
-        if shape is not target:
-            raise SceneError(
-                f"{describe_shape(shape)} cannot be taken into account: only a rough_target may stand between laser and detector"
-            )
+    elements = tuple(elements_of(scene, target))
     beam, target = _aim(laser.beam(), target)
     return Assembly(
         beam=beam,
         target=target,
+        elements=elements,
         detector=detector.grid(),
         options=integrator.options,
         pose=target.shape.pose(),
         sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
+        scene=scene,
     )
 
 

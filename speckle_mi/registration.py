@@ -31,8 +31,10 @@ def _on_variant(_: str | None, variant: str) -> None:
 
     if is_usable(variant):
         from . import plugins
+        from .precise import remember_transforms
 
         plugins.register()
+        remember_transforms(sys.modules["mitsuba"])
 
 
 class _AfterMitsuba(importlib.abc.MetaPathFinder):

@@ -19,6 +19,7 @@ from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import chebyshev_nodes, interpolation_matrix
 from .direct import SINGLE_PRECISION, WRITE, backend, phasor, supports
 from .paths import Path
+from .plane import Rectangle
 from .sources import SourceBox, for_chunks
 
 PROBES = 17
@@ -29,20 +30,6 @@ BANDWIDTH_MARGIN = 1.02
 
 PIXELS_AT_ONCE = 1 << 22
 """Pixels interpolated at once: bounds the memory beyond the result at 128 MB."""
-
-
-@dataclass(frozen=True)
-class Rectangle:
-    """Part of the target's plane, a[0]..a[1] along u and b[0]..b[1] along v [mm]."""
-
-    a: tuple[float, float]
-    b: tuple[float, float]
-
-    @classmethod
-    def around(cls, target: PlaneGrid | PlanePoints) -> Rectangle:
-        if isinstance(target, PlaneGrid):
-            return cls((0.0, float(target.columns[-1])), (0.0, float(target.rows[-1])))
-        return cls((float(target.a.min()), float(target.a.max())), (float(target.b.min()), float(target.b.max())))
 
 
 @lru_cache(maxsize=16)
@@ -133,12 +120,8 @@ class NodeGrid:
 
     def points(self, target: PlaneGrid | PlanePoints) -> PlanePoints:
         """The nodes, v-major."""
-        a, b = (
-            (side[0] + side[1]) / 2 + (side[1] - side[0]) / 2 * chebyshev_nodes(count)
-            for side, count in zip((self.rectangle.a, self.rectangle.b), self.count, strict=True)
-        )
-        grid_b, grid_a = np.meshgrid(b, a, indexing="ij")
-        return PlanePoints(target.origin, target.u, target.v, grid_a.ravel(), grid_b.ravel())
+        b, a = np.meshgrid(chebyshev_nodes(self.count[1]), chebyshev_nodes(self.count[0]), indexing="ij")
+        return self.rectangle.points(target, np.stack([a.ravel(), b.ravel()], axis=1))
 
 
 def node_grid(
@@ -283,12 +266,9 @@ def _interpolate_points(
     step = max(1, PIXELS_AT_ONCE // (2 * nodes.count[0]))
     for first in range(0, target.size, step):
         chunk = slice(first, first + step)
+        at = nodes.rectangle.unit_places(target.a[chunk], target.b[chunk])
         along_u, along_v = (
-            interpolation_matrix(count, _normalised(values[chunk], side)).astype(parts.dtype)
-            for count, values, side in (
-                (nodes.count[0], target.a, nodes.rectangle.a),
-                (nodes.count[1], target.b, nodes.rectangle.b),
-            )
+            interpolation_matrix(count, x).astype(parts.dtype) for count, x in zip(nodes.count, at.T, strict=True)
         )
         rows = (along_v @ flat).reshape(-1, 2, nodes.count[0])
         smooth = np.einsum("mpu,mu->mp", rows, along_u)
@@ -296,10 +276,3 @@ def _interpolate_points(
         common = _common_phasor(path, reference, some.points(), wavelength)
         field[chunk] = scale * (smooth[:, 0] + 1j * smooth[:, 1]) * common
     return field
-
-
-def _normalised(values: np.ndarray, side: tuple[float, float]) -> np.ndarray:
-    """Coordinates on [-1, 1] of a side of the rectangle."""
-    if side[1] == side[0]:
-        return np.zeros_like(values)
-    return np.clip((2 * values - side[0] - side[1]) / (side[1] - side[0]), -1.0, 1.0)

@@ -57,16 +57,16 @@ def tensor_coefficients(values: np.ndarray, orders: tuple[int, ...]) -> np.ndarr
     return tensor
 
 
-def axis_tails(coefficients: np.ndarray) -> np.ndarray:
-    """For each dimension but the last: norm of the last two coefficient slices relative to the whole.
+def axis_tails(coefficients: np.ndarray, last: int = 2) -> np.ndarray:
+    """For each dimension but the last one: norm of the ``last`` coefficient slices relative to the whole.
 
     Zero for a dimension of one node: it has no extent.
     """
     total = np.linalg.norm(coefficients) or 1.0
     tails = []
     for axis, order in enumerate(coefficients.shape[:-1]):
-        last = np.take(coefficients, range(max(1, order - 2), order), axis=axis) if order > 1 else np.zeros(1)
-        tails.append(np.linalg.norm(last) / total)
+        end = np.take(coefficients, range(max(1, order - last), order), axis=axis) if order > 1 else np.zeros(1)
+        tails.append(np.linalg.norm(end) / total)
     return np.array(tails)
 
 
@@ -82,13 +82,12 @@ class TensorSeries:
 
     @classmethod
     def pruned(cls, coefficients: np.ndarray, tolerance: float) -> TensorSeries:
-        """From real coefficients (*orders, k), dropping the smallest terms up to ``tolerance`` of the norm in all."""
+        """From real coefficients (*orders, k), dropping the smallest terms up to ``tolerance`` of the norm (root of squares)."""
         orders, functions = coefficients.shape[:-1], coefficients.shape[-1]
         flat = coefficients.reshape(-1, functions)
         size = np.linalg.norm(flat, axis=1)
         order = np.argsort(size)
-        # The sum, not the root of the squares: the dropped terms may add up at one place.
-        dropped = np.cumsum(size[order]) <= tolerance * np.linalg.norm(size)
+        dropped = np.sqrt(np.cumsum(size[order] ** 2)) <= tolerance * np.linalg.norm(size)
         keep = np.sort(order[~dropped])
         return cls(np.stack(np.unravel_index(keep, orders), axis=1), flat[keep])
 

@@ -15,7 +15,8 @@ import numpy as np
 from ..geometry import PlaneGrid, PlanePoints
 from .bandlimited import NodeGrid, band_limited_sum, extreme_sources, node_grid
 from .direct import SINGLE_PRECISION, active_variant, direct_sum, supports
-from .lowrank import LowRank, expand, low_rank_sum
+from .interpolated import interpolated
+from .lowrank import LARGEST_TABLE, LowRank, expand, low_rank_sum
 from .machine import Costs, measured_costs
 from .paths import Path
 from .reference import reference_sum, sample_of
@@ -28,6 +29,9 @@ TIGHTEST = 1e-7
 
 EXPANSION_SECONDS = 0.03
 """What finding an expansion costs at least: not tried where the sum without it takes less."""
+
+TABLE_SECONDS = 2e-7
+"""Per entry of the expansion's table: one path, one complex exponential, a few complex products."""
 
 SAMPLED_PAIRS = 10_000_000
 """Pairs spent on measuring the error, as far as between 8 and 64 sampled points allow."""
@@ -76,7 +80,7 @@ def coherent_sum(
         return SumResult(np.zeros(_shape(target), dtype=np.complex128), "dark: no source has any weight", 0.0)
     if method == "direct":
         tolerance = SINGLE_PRECISION if supports(path) else TIGHTEST
-    task = Task(path, sources, weights, target, wavelength, tolerance)
+    task = Task(path, sources, weights, target, wavelength, tolerance).with_cheap_path()
     if method == "direct" and supports(path):
         return task.result(task.every_pair(), "as asked")
     return _first_that_holds(task, measured_costs(active_variant()), with_pairs=method == "auto")
@@ -109,6 +113,13 @@ class Task:
     def box(self) -> SourceBox:
         return SourceBox.around(self.sources, self.target.u)
 
+    def with_cheap_path(self) -> Task:
+        """The same with a path without closed form replaced by its series, where it has one."""
+        if supports(self.path):
+            return self
+        series = interpolated(self.path, self.box, self.target, self.wavelength, self.tolerance / 20)
+        return self if series is None else replace(self, path=series)
+
     @cached_property
     def nodes(self) -> NodeGrid:
         bounds = extreme_sources(self.path, self.sources, self.box, self.target)
@@ -119,20 +130,22 @@ class Task:
         found = []
         count, shape = len(self.sources), _shape(self.target)
         interpolation = costs.interpolation(self.nodes.count, shape if len(shape) == 2 else (shape[0], 1))
+        all_pairs = np.inf
         few_nodes = self.nodes.size < 0.7 * self.target.size
         if supports(self.path):
             slow_down = 1 if self.tolerance >= SINGLE_PRECISION else 3
+            all_pairs = slow_down * count * self.target.size * costs.grid_pair
             if with_pairs:
-                seconds = slow_down * count * self.target.size * costs.grid_pair
-                found.append(replace(self.every_pair(), seconds=seconds))
+                found.append(replace(self.every_pair(), seconds=all_pairs))
             if few_nodes:
                 seconds = slow_down * count * self.nodes.size * costs.point_pair + interpolation
                 found.append(Candidate(f"every source on {self._node_text}", seconds, lambda: self._on_nodes(self._exact)))
-        best = min((candidate.seconds for candidate in found), default=np.inf)
+        best = min([all_pairs, *(candidate.seconds for candidate in found)])
         least = EXPANSION_SECONDS + 2 * count * costs.nufft_point
         if best > least:
+            table = int(min(LARGEST_TABLE, (best - least) / TABLE_SECONDS))
             expansion = expand(
-                self.path, self.sources, self.weights, self.target, self.box, self.wavelength, self.tolerance / 2
+                self.path, self.sources, self.weights, self.target, self.box, self.wavelength, self.tolerance, table
             )
             if expansion is not None:
                 found.append(self._expanded(expansion, costs, few_nodes, interpolation))
@@ -180,7 +193,8 @@ class Task:
         count = int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64))
         pick, places = sample_of(self.target, count)
         if supports(self.path):
-            exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, tolerance=0.0)
+            # A tenth of the tolerance asked for, and never worse than 1e-6: enough to judge by.
+            exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, self.tolerance / 10)
         else:
             exact = self._reference(places)
         flat = field.reshape(-1)

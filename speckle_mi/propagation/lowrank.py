@@ -22,10 +22,10 @@ import finufft
 import numpy as np
 
 from ..geometry import PlaneGrid, PlanePoints
-from .bandlimited import Rectangle
 from .chebyshev import TensorSeries, axis_tails, interpolation_matrix, tensor_coefficients, tensor_nodes
 from .paths import Path
-from .sources import SourceBox, for_chunks
+from .plane import Rectangle
+from .sources import SourceBox, chunks, for_chunks, on_all_cores
 
 FIRST_ORDERS = (5, 5, 3)
 """Nodes tried first along the source box; target's two sides start from the first of them."""
@@ -33,7 +33,7 @@ FIRST_ORDERS = (5, 5, 3)
 LARGEST_TABLE = 1_500_000
 """Source-node x target-node pairs beyond which the expansion is given up: near field or a huge spot."""
 
-RANK_SHARE = 0.4
+RANK_SHARE = 0.5
 """Share of the tolerance that the terms left out may take."""
 
 LARGEST_RANK = 80
@@ -48,8 +48,11 @@ SAMPLE_SEED = 6
 SINGLE_TOLERANCE = 5e-5
 """Relative error down to which float32 NUFFTs and weights are used."""
 
-BYTES_AT_ONCE = 300_000_000
-"""Memory for the weights and outputs of NUFFTs done at once."""
+PIECE = 1 << 18
+"""Sources or places that one core takes at once: bounds the memory at 16 bytes x rank for each."""
+
+SMALLEST_PIECE = 1 << 13
+"""Sources or places below which a second core does not pay."""
 
 
 @dataclass(frozen=True)
@@ -90,15 +93,15 @@ def expand(
     box: SourceBox,
     wavelength: float,
     tolerance: float,
+    largest_table: int = LARGEST_TABLE,
 ) -> LowRank | None:
-    """Expansion to relative L2 ``tolerance``, or None where it would cost more than it saves."""
+    """Expansion to relative L2 ``tolerance``, or None where it takes more node pairs than ``largest_table``."""
     rectangle = Rectangle.around(target)
-    middle = _target_places(target, rectangle, np.zeros((1, 2))).points()
-    sides = (rectangle.a, rectangle.b)
+    middle = rectangle.points(target, np.zeros((1, 2))).points()
     orders = [FIRST_ORDERS[i] if box.half[i] > 0 else 1 for i in range(3)]
-    orders += [FIRST_ORDERS[0] if side[1] > side[0] else 1 for side in sides]
+    orders += [FIRST_ORDERS[0] if side[1] > side[0] else 1 for side in rectangle.sides]
     while True:
-        if np.prod(orders) > LARGEST_TABLE:
+        if np.prod(orders) > largest_table:
             return None
         source_orders, target_orders = tuple(orders[:3]), tuple(orders[3:])
         nodes, places = tensor_nodes(source_orders), tensor_nodes(target_orders)
@@ -132,18 +135,9 @@ def _absolute_tails(values: np.ndarray, orders: tuple[int, ...]) -> np.ndarray:
     return np.array(tails)
 
 
-def _target_places(target: PlaneGrid | PlanePoints, rectangle: Rectangle, places: np.ndarray) -> PlanePoints:
-    """Points of the target's plane at places (m, 2) in [-1, 1]^2 of the rectangle."""
-    a, b = (
-        (side[0] + side[1]) / 2 + (side[1] - side[0]) / 2 * values
-        for side, values in zip((rectangle.a, rectangle.b), places.T, strict=True)
-    )
-    return PlanePoints(target.origin, target.u, target.v, a, b)
-
-
 def _mixed_path(path, box, target, rectangle, nodes, places, middle, wavelength):
     """W/lambda and A on source nodes x target nodes (n, m)."""
-    points = _target_places(target, rectangle, places).points()
+    points = rectangle.points(target, places).points()
     length, amplitude = path(np.vstack([box.centre, box.to_world(nodes)]), np.vstack([middle, points]))
     mixed = (length[1:, 1:] - length[:1, 1:]) - (length[1:, :1] - length[:1, :1])
     return mixed / wavelength, amplitude[1:, 1:]
@@ -204,62 +198,74 @@ def _compress(
 
 
 def low_rank_sum(expansion: LowRank, sources: np.ndarray, weights: np.ndarray, places: PlanePoints) -> np.ndarray:
-    """Field (m,) complex128 at the places, on the plane and within the rectangle of the expansion's target."""
-    rank, dimensions = expansion.rank, len(expansion.linear)
-    real = np.float64 if expansion.double else np.float32
-    complex_type = np.complex128 if expansion.double else np.complex64
-    x = np.empty((max(dimensions, 1), len(sources)), dtype=real)
+    """Field (m,) complex128 at the places, on the plane and within the rectangle of the expansion's target.
+
+    The sources or the places, whichever are more, are shared out to the cores, each with NUFFTs of one thread: no barriers.
+    """
+    rank = expansion.rank
     scale = float(np.abs(weights).max()) or 1.0
-    terms = np.empty((rank, len(sources)), dtype=complex_type)
-    reference = expansion.path(expansion.box.centre[None], expansion.middle)[0][0, 0]
-
-    def prepare(chunk: slice) -> None:
-        local = expansion.box.to_local(sources[chunk])
-        x[:dimensions, chunk] = local[:, expansion.linear].T
-        turns = (expansion.path(sources[chunk], expansion.middle)[0][:, 0] - reference) / expansion.wavelength
-        turns -= np.round(turns)
-        angle = (2 * np.pi * turns).astype(real)
-        weight = (weights[chunk] / scale).astype(complex_type)
-        phasor = np.empty(len(angle), dtype=complex_type)
-        phasor.real, phasor.imag = np.cos(angle), np.sin(angle)
-        weight *= phasor
-        series = expansion.source_series(local, real).T
-        for t in range(rank):
-            terms[t, chunk].real = series[t]
-            terms[t, chunk].imag = series[rank + t]
-            terms[t, chunk] *= weight
-
-    for_chunks(prepare, len(sources))
-    sides = (expansion.rectangle.a, expansion.rectangle.b)
-    at = np.stack(
-        [
-            (2 * values - side[0] - side[1]) / (side[1] - side[0]) if side[1] > side[0] else np.zeros(places.size)
-            for values, side in zip((places.a, places.b), sides, strict=True)
-        ],
-        axis=1,
-    )
+    at = expansion.rectangle.unit_places(places.a, places.b)
     on_target = np.concatenate(for_chunks(lambda chunk: expansion.target_series(at[chunk]), places.size))
-    slopes = 2 * np.pi * on_target[:, 2 * rank : 2 * rank + dimensions].T
-    field = np.zeros(places.size, dtype=np.complex128)
-    step = max(1, BYTES_AT_ONCE // (terms.itemsize * (len(sources) + places.size)))
-    for first in range(0, rank, step):
-        some = slice(first, min(first + step, rank))
-        for t, value in zip(range(some.start, some.stop), _transform(x, terms[some], slopes, expansion), strict=True):
-            field += (on_target[:, t] + 1j * on_target[:, rank + t]) * value
+    slopes = 2 * np.pi * on_target[:, 2 * rank : -1].T
+    factors = (on_target[:, :rank] + 1j * on_target[:, rank : 2 * rank]).T
+
+    if len(sources) >= places.size:
+
+        def of_piece(piece: slice) -> np.ndarray:
+            x, terms = _source_terms(expansion, sources[piece], weights[piece] / scale)
+            return np.einsum("tm,tm->m", factors, _transform(x, terms, slopes, expansion))
+
+        field = np.sum(on_all_cores(of_piece, _pieces(len(sources))), axis=0)
+    else:
+        x, terms = _source_terms(expansion, sources, weights / scale)
+
+        def at_piece(piece: slice) -> np.ndarray:
+            return np.einsum("tm,tm->m", factors[:, piece], _transform(x, terms, slopes[:, piece], expansion))
+
+        field = np.concatenate(on_all_cores(at_piece, _pieces(places.size)))
     common = expansion.path(expansion.box.centre[None], places.points())[0][0] / expansion.wavelength
     common += on_target[:, -1]
     return field * (scale * np.exp(2j * np.pi * (common - np.round(common))))
 
 
+def _pieces(count: int) -> list[slice]:
+    """As many equal slices as cores, or a multiple where they would be larger than ``PIECE``."""
+    cores = cpu_count() or 1
+    number = 1 if count < SMALLEST_PIECE * cores else cores * -(-count // (cores * PIECE))
+    edges = np.linspace(0, count, number + 1).astype(int)
+    return [slice(first, end) for first, end in zip(edges[:-1], edges[1:], strict=True)]
+
+
+def _source_terms(expansion: LowRank, sources: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """NUFFT coordinates x (dimensions, n) and c_j a_t(P_j) e^{ik[V(P_j, D0) - V(P0, D0)]} (rank, n)."""
+    rank, linear = expansion.rank, list(expansion.linear)
+    real, complex_type = (np.float64, np.complex128) if expansion.double else (np.float32, np.complex64)
+    x = np.empty((len(linear), len(sources)), dtype=real)
+    terms = np.empty((rank, len(sources)), dtype=complex_type)
+    reference = expansion.path(expansion.box.centre[None], expansion.middle)[0][0, 0]
+    for chunk in chunks(len(sources)):
+        local = expansion.box.to_local(sources[chunk])
+        x[:, chunk] = local[:, linear].T
+        turns = (expansion.path(sources[chunk], expansion.middle)[0][:, 0] - reference) / expansion.wavelength
+        angle = (2 * np.pi * (turns - np.round(turns))).astype(real)
+        phasor = np.empty(len(angle), dtype=complex_type)
+        np.cos(angle, out=phasor.real)
+        np.sin(angle, out=phasor.imag)
+        phasor *= weights[chunk].astype(complex_type)
+        series = expansion.source_series(local, real).T
+        some = terms[:, chunk]
+        some.real, some.imag = series[:rank], series[rank:]
+        some *= phasor
+    return x, terms
+
+
 def _transform(x: np.ndarray, terms: np.ndarray, slopes: np.ndarray, expansion: LowRank) -> np.ndarray:
     """sum_j terms[t, j] e^{i slopes . x_j}, (t, m)."""
-    if not expansion.linear:
+    if not len(x):
         return np.repeat(terms.sum(axis=1, dtype=np.complex128)[:, None], slopes.shape[1], axis=1)
     eps = max(expansion.tolerance / 5, 1e-14 if expansion.double else 1e-6)
-    plan = finufft.Plan(
-        3, len(expansion.linear), n_trans=len(terms), eps=eps, isign=1, dtype=terms.dtype.name, nthreads=cpu_count()
-    )
-    plan.setpts(*_padded(x[: len(expansion.linear)]), *_padded(slopes.astype(x.dtype)))
+    plan = finufft.Plan(3, len(x), n_trans=len(terms), eps=eps, isign=1, dtype=terms.dtype.name, nthreads=1)
+    plan.setpts(*_padded(x), *_padded(slopes.astype(x.dtype)))
     return np.atleast_2d(plan.execute(terms if len(terms) > 1 else terms[0]))
 
 

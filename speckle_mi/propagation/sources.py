@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
@@ -10,7 +10,7 @@ from os import cpu_count
 
 import numpy as np
 
-SOURCES_AT_ONCE = 1 << 14
+SOURCES_AT_ONCE = 1 << 13
 """Sources handled by one thread at once: the arrays of a chunk stay in its cache."""
 
 FLAT = 1e-9
@@ -22,12 +22,18 @@ def chunks(count: int) -> Iterator[slice]:
     return (slice(first, min(first + SOURCES_AT_ONCE, count)) for first in range(0, count, SOURCES_AT_ONCE))
 
 
-def for_chunks(work: Callable[[slice], object], count: int) -> list:
-    """``work`` on every chunk, on all cores (NumPy lets go of the interpreter lock), results in order."""
-    if count <= SOURCES_AT_ONCE:
-        return [work(slice(0, count))]
+def on_all_cores(work: Callable, items: Iterable) -> list:
+    """``work`` on every item, on all cores (NumPy and FINUFFT let go of the interpreter lock), results in order."""
+    items = list(items)
+    if len(items) == 1:
+        return [work(items[0])]
     with ThreadPoolExecutor(cpu_count()) as pool:
-        return list(pool.map(work, chunks(count)))
+        return list(pool.map(work, items))
+
+
+def for_chunks(work: Callable[[slice], object], count: int) -> list:
+    """``work`` on every chunk of ``count`` sources, on all cores, results in order."""
+    return on_all_cores(work, chunks(count))
 
 
 @dataclass(frozen=True)
@@ -54,8 +60,8 @@ class SourceBox:
         axes = np.stack([first, np.cross(normal, first), normal])
 
         def range_of(chunk: slice) -> np.ndarray:
-            place = sources[chunk] @ axes.T
-            return np.stack([place.min(axis=0), -place.max(axis=0)])
+            place = axes @ sources[chunk].T
+            return np.stack([place.min(axis=1), -place.max(axis=1)])
 
         low, high = np.min(for_chunks(range_of, len(sources)), axis=0) * [[1], [-1]]
         half = (high - low) / 2
@@ -73,6 +79,9 @@ class SourceBox:
         return self.centre + (places * self.half) @ self.axes
 
     def to_local(self, points: np.ndarray) -> np.ndarray:
-        """Places (n, 3) in [-1, 1]^3 of world points (n, 3) [mm]; 0 along a dropped dimension."""
+        """Places (n, 3) in [-1, 1]^3 of world points (n, 3) [mm]; 0 along a dropped dimension. Stored by coordinate."""
         scale = np.divide(1.0, self.half, out=np.zeros(3), where=self.half > 0)
-        return (points - self.centre) @ (self.axes.T * scale)
+        places = self.axes @ points.T
+        places -= (self.axes @ self.centre)[:, None]
+        places *= scale[:, None]
+        return places.T

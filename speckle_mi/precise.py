@@ -1,0 +1,101 @@
+"""Double-precision transforms of stock shapes, which Mitsuba itself keeps in single precision.
+
+A mirror whose normal is rounded to single precision tilts by 3e-8 rad: thousandths of a wavelength at the
+detector. While a scene is loaded its file is therefore parsed a second time, and the transforms are kept with
+the scene's rough target.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from types import ModuleType
+
+import numpy as np
+
+_MARK = "remembers_transforms"
+_LOADERS = {"load_file": "parse_file", "load_string": "parse_string"}
+
+
+def remember_transforms(mitsuba: ModuleType) -> None:
+    """Makes ``mitsuba.load_file`` and ``mitsuba.load_string``, which serve all variants, keep what they would round."""
+    for loader, parse in _LOADERS.items():
+        load = getattr(mitsuba, loader)
+        if not hasattr(load, _MARK):
+            setattr(mitsuba, loader, _remembering(mitsuba, load, parse))
+
+
+def _remembering(mitsuba: ModuleType, load: Callable, parse: str) -> Callable:
+    @functools.wraps(load)
+    def loading(source, *arguments, **parameters):
+        scene = load(source, *arguments, **parameters)
+        shapes = scene.shapes() if isinstance(scene, mitsuba.Scene) else []
+        owner = next((shape for shape in shapes if hasattr(shape, "precise_transforms")), None)
+        if owner is not None and len(shapes) > 1:
+            config = mitsuba.parser.ParserConfig(mitsuba.variant())
+            values = {name: str(value) for name, value in parameters.items() if name not in ("parallel", "optimize")}
+            state = getattr(mitsuba.parser, parse)(config, source, **values)
+            owner.precise_transforms = {
+                node.props.id(): _matrix(node.props) for node in state.nodes if node.props.id() and _is_placed(node.props)
+            }
+        return scene
+
+    setattr(loading, _MARK, True)
+    return loading
+
+
+def _is_placed(props) -> bool:
+    return "to_world" in props or "center" in props or "radius" in props
+
+
+def _matrix(props) -> np.ndarray:
+    """``to_world`` (4, 4) of a shape, with the centre and radius of a sphere multiplied in, as Mitsuba does."""
+    matrix = np.array(props["to_world"].matrix, dtype=np.float64) if "to_world" in props else np.eye(4)
+    if props.plugin_name() == "sphere":
+        local = np.diag([*(3 * [float(props.get("radius", 1.0))]), 1.0])
+        local[:3, 3] = np.array(props["center"], dtype=np.float64).ravel() if "center" in props else 0.0
+        matrix = matrix @ local
+    return matrix
+
+
+def precise_transform(shape, target) -> np.ndarray:
+    """``to_world`` (4, 4) of a stock shape in double precision.
+
+    Where the scene was not loaded from XML, or the transform was changed since, Mitsuba's own single-precision
+    matrix is all there is.
+    """
+    known = target.precise_transforms.get(shape.id())
+    if shape.class_name() == "Cube":
+        return _of_cube(shape, known)
+    import mitsuba as mi
+
+    rounded = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
+    return known if known is not None and _equal_but_for_rounding(known, rounded) else rounded
+
+
+def _equal_but_for_rounding(exact: np.ndarray, rounded: np.ndarray) -> bool:
+    return bool(np.allclose(exact, rounded, rtol=1e-6, atol=1e-6 * np.abs(rounded).max()))
+
+
+def _of_cube(shape, known: np.ndarray | None) -> np.ndarray:
+    """Transform of a cube, which is a mesh whose vertices are already placed."""
+    import mitsuba as mi
+
+    parameters = mi.traverse(shape)
+    vertices = np.array(parameters["vertex_positions"], dtype=np.float64).reshape(-1, 3)
+    unit = np.array([[x, y, z, 1.0] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+    centre = vertices.mean(axis=0)
+    if known is not None:
+        extent = np.ptp((unit @ known.T)[:, :3], axis=0)
+        if _equal_but_for_rounding(np.stack([known[:3, 3], extent]), np.stack([centre, np.ptp(vertices, axis=0)])):
+            return known
+    matrix = np.eye(4)
+    matrix[:3, 3] = centre
+    # The faces follow each other in opposite pairs of triangles; three at right angles span the box.
+    found: list[np.ndarray] = []
+    for face in vertices[np.array(parameters["faces"], dtype=np.int64).reshape(-1, 6)]:
+        half = np.unique(face.round(7), axis=0).mean(axis=0) - centre
+        if all(abs(half @ other) < 0.1 * np.linalg.norm(half) * np.linalg.norm(other) for other in found):
+            found.append(half)
+    matrix[:3, :3] = np.stack(found[:3], axis=1)
+    return matrix

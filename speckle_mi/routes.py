@@ -1,0 +1,292 @@
+"""The ways that light takes from the target to the detector, found by rays through the Mitsuba scene.
+
+Rays leave the middle of the laser's spot in all directions that could matter. Mitsuba says which shape each meets
+next; the exact surface of that shape says where and where to. Rays that reach the detector over the same surfaces
+in the same order form a route; what happens along it is the sequence of interactions that the field is computed with.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from .assembly import Assembly
+from .elements import Element
+from .geometry import Frame
+from .optics.surfaces import Interaction, Sequence
+from .optics.trace import RayStatus, trace
+
+MAX_INTERACTIONS = 32
+"""Rays that have not arrived after this many surfaces are given up."""
+
+_FAR = 1e30
+"""Distance that stands for the detector's plane beside its area: behind every shape."""
+
+_SAME_FACE = 0.02
+"""Part of an element's size within which a second hit of the same face is the mesh's facet, not the face again."""
+
+_HEMISPHERE_RAYS = 2048
+_DETECTOR_RAYS = 24
+_ELEMENT_RAYS = 16
+_CLEARANCE = 1e-4
+"""Distance [mm] by which a ray starts off the surface it has just left."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """One way from the target to the detector.
+
+    names: the elements' names in order; interactions: what happens at each of their surfaces; rays: how many of the
+    test rays took it.
+    """
+
+    names: tuple[str, ...]
+    interactions: tuple[Interaction, ...]
+    rays: int
+
+    @property
+    def label(self) -> str:
+        """The way in words, for example ``target - stop - lens - lens - detector``."""
+        return " - ".join(["target", *self.names, "detector"])
+
+
+@dataclass(frozen=True)
+class Arrivals:
+    """What became of the test rays.
+
+    routes: the most travelled first; in_area: whether they end in the detector's area or only in its plane;
+    stopped: how many rays each element ended.
+    """
+
+    routes: tuple[Route, ...]
+    in_area: bool
+    stopped: Counter
+
+
+def find_routes(assembly: Assembly, frame: Frame) -> Arrivals:
+    """The routes from the spot with the target at ``frame`` to the detector's area.
+
+    Where no test ray meets that area, the routes to the detector's plane beside it: diffraction may still reach it.
+    """
+    directions = _test_directions(assembly, frame)
+    start = assembly.target.spot + _CLEARANCE * (frame.axes @ assembly.target.frame.axes.T @ assembly.target.spot_normal)
+    rays = _Rays(np.broadcast_to(start, directions.shape).copy(), directions, len(directions))
+    for _ in range(MAX_INTERACTIONS):
+        if not np.any(rays.alive):
+            break
+        _advance(assembly, rays)
+    return Arrivals(_routes(assembly.elements, rays.arrived or rays.passed_by), bool(rays.arrived), rays.stopped)
+
+
+def _routes(elements: tuple[Element, ...], arrived: dict) -> tuple[Route, ...]:
+    routes = [
+        Route(tuple(elements[number].name for number, *_ in steps), interactions, count)
+        for steps, (count, interactions) in arrived.items()
+    ]
+    return tuple(sorted(routes, key=lambda route: -route.rays))
+
+
+class _Rays:
+    """Test rays on their way, and what became of those that have ended.
+
+    origin, direction: (n, 3); alive: (n,); inside: (n,) number of the glass a ray is in, -1 for none; steps and
+    interactions: what each ray has met; arrived, passed_by: steps -> (rays, interactions) of those that ended in the
+    detector's area, and beside it; stopped: rays that each element ended.
+    """
+
+    def __init__(self, origin: np.ndarray, direction: np.ndarray, count: int) -> None:
+        self.origin, self.direction = origin, direction
+        self.alive = np.ones(count, dtype=bool)
+        self.inside = np.full(count, -1)
+        self.steps: list[tuple] = [()] * count
+        self.interactions: list[tuple[Interaction, ...]] = [()] * count
+        self.arrived: dict[tuple, tuple[int, tuple[Interaction, ...]]] = {}
+        self.passed_by: dict[tuple, tuple[int, tuple[Interaction, ...]]] = {}
+        self.stopped: Counter = Counter()
+
+    def take(self, index: np.ndarray, step: tuple, interaction: Interaction) -> None:
+        """Notes a step of the rays ``index``."""
+        for ray in index:
+            self.steps[ray] += (step,)
+            self.interactions[ray] += (interaction,)
+
+    def end(self, index: np.ndarray, ledger: dict) -> None:
+        """Ends the rays ``index`` and counts their routes in ``ledger``."""
+        self.alive[index] = False
+        for ray in index:
+            count, interactions = ledger.get(self.steps[ray], (0, self.interactions[ray]))
+            ledger[self.steps[ray]] = (count + 1, interactions)
+
+    def stop(self, index: np.ndarray, name: str) -> None:
+        """Ends the rays ``index`` at something opaque."""
+        self.alive[index] = False
+        self.stopped[name] += len(index)
+
+
+def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
+    """Directions (n, 3): towards the detector, towards every element, and evenly over the target's hemisphere."""
+    spot, grid = assembly.target.spot, assembly.detector
+    half_u, half_v = 0.5 * grid.pitch * grid.shape[1], 0.5 * grid.pitch * grid.shape[0]
+    side = (np.arange(_DETECTOR_RAYS) + 0.5) / _DETECTOR_RAYS * 2 - 1
+    a, b = (values.ravel() for values in np.meshgrid(side, side))
+    targets = [grid.centre[None], grid.centre + a[:, None] * half_u * grid.u + b[:, None] * half_v * grid.v]
+    for element in assembly.elements:
+        targets += [_points_on(face) for face in element.faces]
+        corners = np.array([element.shape.bbox().min, element.shape.bbox().max], dtype=np.float64)
+        targets.append(0.5 * (corners[:1] + corners[1:]))
+    towards = np.concatenate(targets) - spot
+    normal = frame.axes[:, 2]
+    number = np.arange(_HEMISPHERE_RAYS) + 0.5
+    # Fibonacci lattice: even over the sphere.
+    height = number / _HEMISPHERE_RAYS
+    azimuth = np.pi * (1 + 5**0.5) * number
+    ring = np.sqrt(1 - height**2)
+    hemisphere = (
+        (ring * np.cos(azimuth))[:, None] * frame.axes[:, 0] + (ring * np.sin(azimuth))[:, None] * frame.axes[:, 1]
+        + height[:, None] * normal
+    )
+    directions = np.concatenate([towards, hemisphere])
+    length = np.linalg.norm(directions, axis=1)
+    directions = directions[length > 0] / length[length > 0, None]
+    return directions[directions @ normal > 1e-6]
+
+
+def _points_on(face) -> np.ndarray:
+    """World points (n, 3) spread over a face inside its rim."""
+    number = np.arange(_ELEMENT_RAYS**2) + 0.5
+    radius, angle = np.sqrt(number / _ELEMENT_RAYS**2), np.pi * (1 + 5**0.5) * number
+    outline = face.outline
+    if outline is None:
+        size = (1 / face.curvature,) * 2
+    else:
+        size = (outline.radius,) * 2 if hasattr(outline, "radius") else (outline.half_x, outline.half_y)
+    x, y = size[0] * radius * np.cos(angle), size[1] * radius * np.sin(angle)
+    squared = face.curvature * (x * x + y * y)
+    z = squared / (1 + np.sqrt(np.maximum(1 - (1 + face.conic) * face.curvature * squared, 0)))
+    return face.frame.to_world(np.stack([x, y, z], axis=1))
+
+
+def _advance(assembly: Assembly, rays: _Rays) -> None:
+    """Takes every living ray to the next thing it meets."""
+    elements = assembly.elements
+    index = np.flatnonzero(rays.alive)
+    number, reach = _next_shapes(assembly, rays, index)
+    detector, inside = _distance_to_detector(assembly, rays.origin[index], rays.direction[index])
+    _pass_openings(elements, rays, index, np.minimum(reach, detector))
+    at_detector = detector <= reach
+    rays.end(index[at_detector & inside], rays.arrived)
+    rays.end(index[at_detector & ~inside & np.isfinite(detector)], rays.passed_by)
+    rays.stop(index[at_detector & np.isinf(detector)], "nothing")
+    rays.stop(index[~at_detector & (number == -1)], "target")
+    for place, element in enumerate(elements):
+        chosen = ~at_detector & (number == place)
+        if np.any(chosen):
+            _meet(element, place, rays, index[chosen], reach[chosen])
+
+
+def _pass_openings(elements: tuple[Element, ...], rays: _Rays, index: np.ndarray, end: np.ndarray) -> None:
+    """Notes the holes that rays go through before they come to what ends their segment, nearest first."""
+    numbers = [number for number, element in enumerate(elements) if element.kind == "opening"]
+    if not numbers:
+        return
+    distance = np.array([_distance_to_opening(elements[k], rays.origin[index], rays.direction[index]) for k in numbers])
+    order = np.argsort(distance, axis=0)
+    for rank in range(len(numbers)):
+        which = order[rank]
+        passes = np.take_along_axis(distance, order[rank : rank + 1], axis=0)[0] < end
+        for place, number in enumerate(numbers):
+            chosen = index[passes & (which == place)]
+            interaction = Interaction.through(elements[number].faces[0])
+            rays.take(chosen, (number, 0, "pass"), interaction)
+
+
+def _next_shapes(assembly: Assembly, rays: _Rays, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Number of the element each ray meets next (-1: the target, -2: none) and its distance."""
+    scene = assembly.scene
+    single = [np.ascontiguousarray(rays.origin[index].T, np.float32), np.ascontiguousarray(rays.direction[index].T, np.float32)]
+    ray = mi.Ray3f(mi.Point3f(*map(mi.Float, single[0])), mi.Vector3f(*map(mi.Float, single[1])))
+    hit = scene.ray_intersect_preliminary(ray)
+    distance = np.array(hit.t, dtype=np.float64)
+    number = np.full(len(index), -2)
+    for place, element in enumerate(assembly.elements):
+        number[np.array(hit.shape == mi.ShapePtr(element.shape))] = place
+    number[np.array(hit.shape == mi.ShapePtr(assembly.target.shape))] = -1
+    distance[number == -2] = np.inf
+    return number, distance
+
+
+def _distance_to_detector(assembly: Assembly, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance [mm] to the detector's plane along rays that come from its front, else inf; and whether in its area."""
+    grid = assembly.detector
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = direction @ grid.normal
+        distance = (grid.centre - origin) @ grid.normal / slope
+        hit = origin + distance[:, None] * direction - grid.centre
+        inside = (np.abs(hit @ grid.u) <= 0.5 * grid.pitch * grid.shape[1]) & (
+            np.abs(hit @ grid.v) <= 0.5 * grid.pitch * grid.shape[0]
+        )
+    # Outside the area the plane is thin air, where a ray ends only if it meets nothing else: the caller compares.
+    reached = (slope < 0) & (distance > 0)
+    return np.where(reached & inside, distance, np.where(reached, _FAR, np.inf)), inside
+
+
+def _distance_to_opening(element: Element, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Distance [mm] to the hole of a screen, inf where the ray does not go through it."""
+    face = element.faces[0]
+    local, slope = face.frame.to_local(origin), direction @ face.frame.axes
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = -local[:, 2] / slope[:, 2]
+        x, y = (local[:, k] + distance * slope[:, k] for k in (0, 1))
+        inside = np.all(face.outline.margins(x, y) >= 0, axis=0)
+    return np.where(inside & (distance > _CLEARANCE / 2), distance, np.inf)
+
+
+def _meet(element: Element, number: int, rays: _Rays, index: np.ndarray, reach: np.ndarray) -> None:
+    """Refraction, reflection or the end of the rays ``index`` at the element's mesh."""
+    if element.kind not in ("mirror", "glass"):
+        rays.stop(index, element.name)
+        return
+    hit = rays.origin[index] + reach[:, None] * rays.direction[index]
+    face = element.faces_at(hit)
+    again = (reach < element.size * _SAME_FACE) & np.array(
+        [bool(rays.steps[ray]) and rays.steps[ray][-1][:2] == (number, f) for ray, f in zip(index, face, strict=True)]
+    )
+    # A facet of a mesh lies a little off the exact surface that the ray has just left.
+    rays.origin[index[again]] = hit[again] + _CLEARANCE * rays.direction[index[again]]
+    rays.stop(index[~again & (face < 0)], element.name)
+    comes_from_inside = rays.inside[index] == number
+    for f in range(len(element.faces)):
+        for within in (False, True):
+            chosen = index[~again & (face == f) & (comes_from_inside == within)]
+            if len(chosen):
+                _interact(element, number, f, within, rays, chosen)
+
+
+def _interact(element: Element, number: int, face: int, within: bool, rays: _Rays, index: np.ndarray) -> None:
+    """One face of one element acts on the rays ``index``, which come from inside the glass or from outside."""
+    interaction = element.interaction(face, within)
+    result = trace(Sequence((interaction,)), rays.origin[index], rays.direction[index])
+    total = result.status == RayStatus.TOTAL_INTERNAL_REFLECTION
+    if np.any(total):
+        mirror = Interaction.reflect(interaction.surface, interaction.index_before, interaction.root)
+        _go_on(element, (number, face, "reflect"), mirror, rays, index[total], -2)
+        index = index[~total]
+    inside = -2 if interaction.action == "reflect" else (-1 if within else number)
+    _go_on(element, (number, face, interaction.action), interaction, rays, index, inside)
+
+
+def _go_on(element: Element, step: tuple, interaction: Interaction, rays: _Rays, index: np.ndarray, inside: int) -> None:
+    """Moves rays through an interaction; ``inside`` is the glass they are in afterwards, -2 for the same as before."""
+    if not len(index):
+        return
+    result = trace(Sequence((interaction,)), rays.origin[index], rays.direction[index])
+    rays.stop(index[~result.valid], element.name)
+    going, valid = index[result.valid], result.valid
+    rays.take(going, step, interaction)
+    rays.direction[going] = result.directions[valid]
+    rays.origin[going] = result.points[0, valid] + _CLEARANCE * result.directions[valid]
+    if inside != -2:
+        rays.inside[going] = inside
