@@ -80,13 +80,13 @@ class Detector(mi.Sensor):
     def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
         grid, axes = self.grid(), self.placement.frame.axes
         rows, columns = grid.shape
-        corner = mi.Point3f(*(grid.origin - 0.5 * grid.pitch * (grid.u + grid.v)))
-        u, v = mi.Vector3f(*grid.u) * (grid.pitch * columns), mi.Vector3f(*grid.v) * (grid.pitch * rows)
+        corner = mi.Point3f(*(grid.origin - 0.5 * grid.pitch * (grid.u + grid.v)).tolist())
+        u, v = mi.Vector3f(*grid.u.tolist()) * (grid.pitch * columns), mi.Vector3f(*grid.v.tolist()) * (grid.pitch * rows)
         local = mi.warp.square_to_cosine_hemisphere(aperture_sample)
         wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
         ray = dr.zeros(mi.Ray3f)
         ray.o = corner + position_sample.x * u + position_sample.y * v
-        ray.d = sum((local[k] * mi.Vector3f(*axes[:, k]) for k in range(3)), start=mi.Vector3f(0))
+        ray.d = sum((local[k] * mi.Vector3f(*axes[:, k].tolist()) for k in range(3)), start=mi.Vector3f(0))
         ray.maxt = dr.largest(mi.Float)
         ray.time = time
         ray.wavelengths = wavelengths
@@ -96,7 +96,7 @@ class Detector(mi.Sensor):
         return True
 
     def bbox(self):
-        point = mi.ScalarPoint3f(*self.placement.frame.origin)
+        point = mi.ScalarPoint3f(*self.placement.frame.origin.tolist())
         return mi.ScalarBoundingBox3f(point, point)
 
     def world_transform(self):

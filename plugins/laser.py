@@ -94,8 +94,8 @@ class Laser(mi.Emitter):
 
     def sample_direction(self, it, sample, active=True):
         frame = self.placement.frame
-        axis = mi.Vector3f(*frame.axes[:, 2])
-        offset = it.p - mi.Point3f(*frame.origin)
+        axis = mi.Vector3f(*frame.axes[:, 2].tolist())
+        offset = it.p - mi.Point3f(*frame.origin.tolist())
         distance = dr.dot(offset, axis)
         ds = dr.zeros(mi.DirectionSample3f)
         ds.p = it.p - distance * axis
@@ -124,7 +124,7 @@ class Laser(mi.Emitter):
         return mi.Spectrum(2 / (np.pi * radius**2) * dr.exp(-2 * dr.squared_norm(across) / radius**2))
 
     def bbox(self):
-        point = mi.ScalarPoint3f(*self.placement.frame.origin)
+        point = mi.ScalarPoint3f(*self.placement.frame.origin.tolist())
         return mi.ScalarBoundingBox3f(point, point)
 
     def world_transform(self):

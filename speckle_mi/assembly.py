@@ -95,6 +95,7 @@ class Assembly:
             + [repr(value) for value in (beam.radius, beam.wavefront_radius, beam.wavelength)],
             "target": [_digits(target.frame.origin), _digits(target.frame.axes), repr(target.lobe)]
             + [repr(value) for value in (target.surface.density, target.surface.roughness, target.surface.correlation_length)]
+            + [str(target.shape.bsdf()) if target.lobe else ""]
             + [_hash(facets.origin, facets.e1, facets.e2, facets.bounds, facets.edges)],
             "elements": [element.describe() for element in self.elements],
             "points": None if points is None else _hash(points.points, points.weights),
@@ -118,7 +119,8 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
         raise SceneError(f"sensor {detector.id()!r} is a {detector.class_name()}, must be a detector")
     integrator = scene.integrator()
     if type(integrator).__name__ != "Coherent":
-        raise SceneError(f"the scene's integrator is {integrator.class_name()}, must be <integrator type=\"coherent\"/>")
+        found = "none" if integrator is None else integrator.class_name()
+        raise SceneError(f"the scene's integrator is {found}, must be <integrator type=\"coherent\"/>")
     for emitter in scene.emitters():
         if emitter is not laser:
             raise SceneError(f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: its light would be left out, remove it")

@@ -49,12 +49,12 @@ class Beam:
         """Optical path from the laser, which is the phase reference, to ``reference`` [mm]."""
         return float((self.reference - self.origin) @ self.axis)
 
-    def direction_to_source(self, point: np.ndarray) -> np.ndarray:
-        """Unit vector (3,) from a point (3,) against the light's direction of propagation there."""
+    def directions_to_source(self, points: np.ndarray) -> np.ndarray:
+        """Unit vectors (n, 3) from points (n, 3) against the light's direction of propagation there."""
         if np.isinf(self.wavefront_radius):
-            return -self.axis
-        to_centre = point - self.reference + self.wavefront_radius * self.axis
-        return -np.sign(self.wavefront_radius) * to_centre / np.linalg.norm(to_centre)
+            return np.broadcast_to(-self.axis, points.shape)
+        from_centre = points - self.reference + self.wavefront_radius * self.axis
+        return -np.sign(self.wavefront_radius) * from_centre / np.linalg.norm(from_centre, axis=1, keepdims=True)
 
     def field(self, points: np.ndarray) -> np.ndarray:
         """Complex amplitude exp(-r^2/w^2) exp(+i k L) at points (n, 3) [mm], (n,) complex128."""

@@ -6,21 +6,16 @@ import mitsuba as mi
 import numpy as np
 
 from .assembly import Assembly
-from .geometry import Frame, PlaneGrid
+from .geometry import Frame
 from .parameters import SceneError
 
 
-def lobe_amplitude(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndarray:
-    """sqrt(f cos) of the target's BSDF f from the beam's axis towards every pixel, (rows, columns), relative to 1 sr.
+def lobe_towards(assembly: Assembly, frame: Frame, directions: np.ndarray) -> np.ndarray:
+    """sqrt(f cos) of the target's BSDF f from the beam's axis towards ``directions`` (n, 3) of any length, (n,).
 
     The beam's spot is small against its distance from the detector, so its centre stands for all scatterers. Raises
     SceneError for a BSDF that only reflects like a mirror.
     """
-    points = grid.points()
-    return _amplitude(assembly, frame, points - assembly.target.spot).reshape(grid.shape)
-
-
-def _amplitude(assembly: Assembly, frame: Frame, directions: np.ndarray) -> np.ndarray:
     target = assembly.target
     bsdf = target.shape.bsdf()
     if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) and not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth):
@@ -36,7 +31,7 @@ def _amplitude(assembly: Assembly, frame: Frame, directions: np.ndarray) -> np.n
     local = np.stack([tangent, np.cross(normal, tangent), normal])
     outgoing = local @ (directions / np.linalg.norm(directions, axis=1, keepdims=True)).T
     si = mi.SurfaceInteraction3f()
-    si.wi = mi.Vector3f(*(local @ assembly.beam.direction_to_source(target.spot)))
+    si.wi = mi.Vector3f(*(local @ assembly.beam.directions_to_source(target.spot[None])[0]).tolist())
     # f cos, as Mitsuba's eval gives it.
     value = bsdf.eval(mi.BSDFContext(), si, mi.Vector3f(*(mi.Float(row.astype(np.float32)) for row in outgoing)))
     return np.sqrt(np.maximum(np.array(value[0], dtype=np.float64), 0.0)) * np.ones(len(directions))

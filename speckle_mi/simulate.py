@@ -9,11 +9,11 @@ import numpy as np
 from . import __version__
 from .assembly import Assembly
 from .exr import FieldImage
-from .geometry import Frame, PlaneGrid, Pose
-from .lobe import lobe_amplitude
-from .propagation import FreeSpace, coherent_sum
+from .geometry import Frame, Pose
+from .fields import channel_field, ray_channel
+from .plan import Plan, make_plan
 from .surface import Scatterers, illuminated_points, illuminated_scatterers
-from .visibility import visible_scatterers
+from .visibility import unblocked_pixels, visible_scatterers
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,26 @@ def simulate_frame(assembly: Assembly, pose: Pose | None = None) -> SimulatedFra
     pose = assembly.pose if pose is None else pose
     frame = assembly.target.frame.moved(pose)
     warnings: list[str] = []
+    plan = plan_of(assembly)
     scatterers = _visible(assembly, frame, _illuminated(assembly, frame), warnings)
-    centre, intensity, plan, error = _detect(assembly, frame, scatterers)
-    image = FieldImage(intensity, centre, _header(assembly, pose, scatterers, plan, error, warnings))
-    return SimulatedFrame(image, scatterers, plan, error, warnings)
+    centre, intensity, lines, error = _detect(assembly, frame, scatterers, plan)
+    warnings += plan.warnings
+    image = FieldImage(intensity, centre, _header(assembly, pose, scatterers, lines, error, warnings))
+    return SimulatedFrame(image, scatterers, lines, error, warnings)
+
+
+def plan_of(assembly: Assembly) -> Plan:
+    """The plan of an assembly with its target at rest, made once."""
+    key = assembly.fingerprint()
+    if key not in _plans:
+        while len(_plans) >= _PLANS_KEPT:
+            _plans.pop(next(iter(_plans)))
+        _plans[key] = make_plan(assembly, assembly.target.frame)
+    return _plans[key]
+
+
+_plans: dict[str, Plan] = {}
+_PLANS_KEPT = 8
 
 
 def _illuminated(assembly: Assembly, frame: Frame) -> Scatterers:
@@ -66,24 +82,25 @@ def _visible(assembly: Assembly, frame: Frame, lit: Scatterers, warnings: list[s
     return seen
 
 
-def _detect(assembly: Assembly, frame: Frame, scatterers: Scatterers) -> tuple[np.ndarray, np.ndarray, list[str], float]:
+def _detect(
+    assembly: Assembly, frame: Frame, scatterers: Scatterers, plan: Plan
+) -> tuple[np.ndarray, np.ndarray, list[str], float]:
     """Field at the pixel centres, intensity averaged over the pixels, plan and estimated error."""
-    grid, side = assembly.detector, assembly.sub_pixels
-    centre, plan, error = _field(assembly, frame, scatterers, grid)
+    side = assembly.sub_pixels
+    centre, lines, error = _field(assembly, frame, scatterers, plan, (0.0, 0.0))
     if side == 1:
-        return centre, _intensity(centre), plan, error
-    total = np.zeros(grid.shape)
+        return centre, _intensity(centre), lines, error
+    total = np.zeros(assembly.detector.shape)
     for offset_v in _sub_pixel_offsets(side):
         for offset_u in _sub_pixel_offsets(side):
             if offset_u == offset_v == 0:
                 total += _intensity(centre)
                 continue
-            shifted = replace(grid, origin=grid.origin + grid.pitch * (offset_u * grid.u + offset_v * grid.v))
-            values, _, sub_error = _field(assembly, frame, scatterers, shifted)
+            values, _, sub_error = _field(assembly, frame, scatterers, plan, (offset_u, offset_v))
             total += _intensity(values)
             error = max(error, sub_error)
-    plan = [*plan, f"pixels: intensity averaged over {side} x {side} sub-pixels"]
-    return centre, (total / side**2).astype(np.float32), plan, error
+    lines = [*lines, f"pixels: intensity averaged over {side} x {side} sub-pixels"]
+    return centre, (total / side**2).astype(np.float32), lines, error
 
 
 def _sub_pixel_offsets(side: int) -> np.ndarray:
@@ -91,20 +108,28 @@ def _sub_pixel_offsets(side: int) -> np.ndarray:
     return (np.arange(side) - (side - 1) / 2) / side
 
 
-def _field(assembly: Assembly, frame: Frame, scatterers: Scatterers, grid: PlaneGrid) -> tuple[np.ndarray, list[str], float]:
+def _field(
+    assembly: Assembly, frame: Frame, scatterers: Scatterers, plan: Plan, offset: tuple[float, float]
+) -> tuple[np.ndarray, list[str], float]:
+    """Sum of all channels' fields at the pixel centres, shifted by ``offset`` pixels along u and v."""
+    total, lines, errors = np.zeros(assembly.detector.shape, complex), list(plan.lines), []
     if scatterers.count == 0:
-        return np.zeros(grid.shape, complex), ["free space: no scatterer is lit and seen, nothing is summed"], 0.0
-    options = assembly.options
-    result = coherent_sum(
-        FreeSpace(), scatterers.position, scatterers.amplitude, grid, assembly.beam.wavelength,
-        method=options.method, tolerance=options.tolerance,
-    )
-    values = result.field.reshape(grid.shape)
-    plan = ["free space: nothing stands between target and detector, no ray is launched", f"sum: {result.plan}"]
-    if assembly.target.lobe:
-        values = values * lobe_amplitude(assembly, frame, grid)
-        plan.append("lobe: amplitude follows the target's BSDF")
-    return values, plan, result.numerical_error
+        return total, ["no scatterer is lit and seen, nothing is summed"], 0.0
+    for channel in plan.channels:
+        grid = channel.grid
+        grid = replace(grid, origin=grid.origin + grid.pitch * (offset[0] * grid.u + offset[1] * grid.v))
+        if assembly.options.method == "rays":
+            part = ray_channel(assembly, frame, scatterers, channel, grid)
+        else:
+            part = channel_field(assembly, frame, scatterers, channel, grid)
+        values = part.field
+        if not channel.interactions and assembly.elements:
+            values = values * unblocked_pixels(assembly, frame, grid)
+        total += values
+        lines += part.lines
+        errors.append(part.error * np.linalg.norm(part.field))
+    norm = np.linalg.norm(total)
+    return total, lines, float(np.sqrt(np.sum(np.square(errors))) / norm) if norm > 0 else 0.0
 
 
 def _intensity(values: np.ndarray) -> np.ndarray:

@@ -6,11 +6,14 @@ import mitsuba as mi
 import numpy as np
 
 from .assembly import Assembly
-from .geometry import Frame
+from .geometry import Frame, PlaneGrid
 from .surface import Scatterers
 
 _NOTICEABLE = 1e-3
 """Share of the power above which scatterers that only part of the detector sees are worth a warning."""
+
+_OFF_SURFACE = 1e-3
+"""Distance [mm] from the target at which rays start, so that its own facets do not stop them."""
 
 
 def visible_scatterers(assembly: Assembly, frame: Frame, lit: Scatterers) -> tuple[Scatterers, str]:
@@ -38,6 +41,17 @@ def visible_scatterers(assembly: Assembly, frame: Frame, lit: Scatterers) -> tup
     return (lit if np.all(seen) else lit.selected(seen)), note
 
 
+def unblocked_pixels(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndarray:
+    """1 where the straight way from the spot's middle to a pixel is free of every shape of the scene, else 0."""
+    target = assembly.target
+    normal = frame.axes @ target.frame.axes.T @ target.spot_normal
+    start = target.spot + _OFF_SURFACE * normal
+    to_pixel = grid.points() - start
+    distance = np.linalg.norm(to_pixel, axis=1)
+    free = _free(assembly.scene, np.broadcast_to(start, to_pixel.shape), to_pixel / distance[:, None], distance)
+    return free.reshape(grid.shape).astype(float)
+
+
 def _faces(scatterers: Scatterers, point: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", scatterers.normal, point - scatterers.position) > 0
 
@@ -52,13 +66,12 @@ def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers) -> np.ndarray:
     points = current.to_world(frame.to_local(lit.position))
     normals = lit.normal @ frame.axes @ current.axes.T
     centre = current.to_world(frame.to_local(assembly.detector.centre[None]))[0]
-    axis = current.axes @ (frame.axes.T @ -assembly.beam.axis)
     scene = _scene_of(target.shape)
     size = float(np.max(np.ptp(target.surface.facets.origin, axis=0), initial=0.0))
     start = points + normals * max(1e-5 * size, 4 * target.surface.roughness)
     to_detector = centre - start
     distance = np.linalg.norm(to_detector, axis=1)
-    to_laser = np.broadcast_to(axis, start.shape)
+    to_laser = assembly.beam.directions_to_source(lit.position) @ frame.axes @ current.axes.T
     reach = np.full(len(start), 10 * size + np.max(distance))
     return _free(scene, start, to_laser, reach) & _free(scene, start, to_detector / distance[:, None], distance)
 

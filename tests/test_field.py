@@ -12,6 +12,7 @@ from speckle_mi.render import write_sources
 from speckle_mi.simulate import simulate, simulate_frame
 
 FIELD_ERROR = 1e-5  # Relative L2 error promised for the exact sum.
+FILM_ROUNDING = 3e-7  # A film weights red, green and blue in single precision.
 WAVELENGTH = 632.8e-6
 TILT = rotation_matrix(np.radians([12.0, -20.0, 8.0]))
 
@@ -66,7 +67,7 @@ def test_field_is_the_coherent_sum_over_its_sources(
 def test_auto_keeps_its_tolerance_on_a_detector_where_it_expands(assemble, tmp_path, geometry, tolerance):
     to_laser, sight, tilt = GEOMETRIES[geometry]
     text = free_space(
-        to_laser, sight, tilt=tilt, target={"point_sources": 60}, integrator={"method": "fast", "tolerance": tolerance},
+        to_laser, sight, tilt=tilt, target={"point_sources": 12}, integrator={"method": "fast", "tolerance": tolerance},
         detector={"width": 372, "height": 240, "pixel_pitch": 0.006},
     )
     frame, exact = check_against_sources(assemble(text), tmp_path, tolerance=tolerance)
@@ -103,8 +104,8 @@ def test_field_of_the_users_points_is_their_sum(assemble, tmp_path):
 @pytest.mark.parametrize("samples, side", [(4, 2), (9, 3), (10, 4)])
 def test_intensity_is_the_mean_over_sub_pixels_and_the_field_stays_at_the_centre(assemble, tmp_path, samples, side):
     text = free_space(
-        direction(20), direction(10, 30), tilt=TILT, detector_distance=20.0, detector={"pixel_pitch": 0.02},
-        integrator={"method": "direct"},
+        direction(20), direction(10, 30), tilt=TILT, detector_distance=20.0, target={"point_sources": 20},
+        detector={"width": 40, "height": 30, "pixel_pitch": 0.03}, integrator={"method": "direct"},
     )
     assembly = assemble(text, spp=samples)
     frame, centre = check_against_sources(assembly, tmp_path)
@@ -132,7 +133,7 @@ def test_mitsuba_render_gives_the_simulated_image_in_named_channels(mitsuba, loa
     image = simulate(assemble(text))
     rendered = np.array(mitsuba.render(load(text)))
     assert rendered.shape == (24, 40, 3)
-    np.testing.assert_array_equal(rendered[..., 0], image.intensity)
+    np.testing.assert_allclose(rendered[..., 0], image.intensity, rtol=FILM_ROUNDING)
     np.testing.assert_array_equal(rendered[..., 1], image.field.real.astype(np.float32))
     np.testing.assert_array_equal(rendered[..., 2], image.field.imag.astype(np.float32))
     np.testing.assert_allclose(rendered[..., 0], rendered[..., 1] ** 2 + rendered[..., 2] ** 2, rtol=1e-5)
@@ -145,7 +146,7 @@ def test_mitsuba_render_gives_the_simulated_image_in_named_channels(mitsuba, loa
 def test_render_with_samples_averages_pixels(mitsuba, load, assemble):
     text = free_space(direction(20), direction(10, 30), detector_distance=20.0, detector={"pixel_pitch": 0.02})
     rendered = np.array(mitsuba.render(load(text), spp=4))
-    np.testing.assert_array_equal(rendered[..., 0], simulate(assemble(text, spp=4)).intensity)
+    np.testing.assert_allclose(rendered[..., 0], simulate(assemble(text, spp=4)).intensity, rtol=FILM_ROUNDING)
 
 
 # What can be seen

@@ -60,6 +60,11 @@ class AimedPaths:
         """(n,) a ray through the target exists and is physical; it may be vignetted, see ``margins``."""
         return self.status <= RayStatus.OUTSIDE_OUTLINE
 
+    @property
+    def complex_amplitude(self) -> np.ndarray:
+        """(n,) amplitude with the factor exp(-i pi/2) of every focal line on the way (phasor e^{+ikL}: Gouy's phase)."""
+        return self.amplitude * np.array([1.0, -1.0j, -1.0, 1.0j])[self.caustics % 4]
+
 
 def aim(sequence: Sequence, sources: np.ndarray, targets: np.ndarray) -> AimedPaths:
     """Rays from ``sources`` (n, 3) through ``targets`` (n, 3) on the last surface of ``sequence``, world [mm].

@@ -55,9 +55,9 @@ class Interpolant:
         rows = max(1, CHUNK // max(1, self.coefficients[0].size))
         for start in range(0, points.shape[0], rows):
             part = points[start : start + rows]
-            value = np.tensordot(self._basis(0, part[:, 0]), self.coefficients, axes=1)
+            value = np.tensordot(self.basis(0, part[:, 0]), self.coefficients, axes=1)
             for axis in range(1, self.dimension):
-                value = np.einsum("nj,nj...->n...", self._basis(axis, part[:, axis]), value)
+                value = np.einsum("nj,nj...->n...", self.basis(axis, part[:, axis]), value)
             out[start : start + rows] = value
         return out
 
@@ -71,7 +71,7 @@ class Interpolant:
         value = self.coefficients
         for axis, x in enumerate(coordinates):
             value = np.moveaxis(
-                np.tensordot(self._basis(axis, np.asarray(x, dtype=np.float64)), value, axes=(1, axis)), 0, axis
+                np.tensordot(self.basis(axis, np.asarray(x, dtype=np.float64)), value, axes=(1, axis)), 0, axis
             )
         return value
 
@@ -100,7 +100,7 @@ class Interpolant:
             tails.append(last)
         return np.stack(tails)
 
-    def _basis(self, axis: int, x: np.ndarray) -> np.ndarray:
+    def basis(self, axis: int, x: np.ndarray) -> np.ndarray:
         """T_j(t), (m, n_axis)."""
         half = 0.5 * (self.upper[axis] - self.lower[axis])
         t = (x - 0.5 * (self.lower[axis] + self.upper[axis])) / half if half else np.zeros_like(x)

@@ -28,9 +28,8 @@ class TracedPath:
         Raises ValueError when a pair has no ray; reasons are counted in the message.
         """
         aimed = self._aimed(P, D)
-        phase = np.array([1.0, -1.0j, -1.0, 1.0j])[aimed.caustics % 4]
         shape = (len(P), len(D))
-        return aimed.optical_path_length.reshape(shape), (aimed.amplitude * phase).reshape(shape)
+        return aimed.optical_path_length.reshape(shape), aimed.complex_amplitude.reshape(shape)
 
     def margins(self, P: np.ndarray, D: np.ndarray) -> np.ndarray:
         """Smooth clearance (r, n, m) of the rims in ``sequence.rims``; the ray from P to D is free where all are > 0.
@@ -44,7 +43,11 @@ class TracedPath:
         return aim(self.sequence, np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
 
     def _aimed(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
-        aimed = self.aimed(P, D)
+        return self.paired(np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
+
+    def paired(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
+        """The rays from P (n, 3) to D (n, 3), one each. Raises ValueError when a pair has no ray."""
+        aimed = aim(self.sequence, P, D)
         if not aimed.converged.all():
             lost = aimed.status[~aimed.converged]
             reasons = ", ".join(

@@ -16,7 +16,7 @@ from ..geometry import PlaneGrid, PlanePoints
 from .bandlimited import NodeGrid, band_limited_sum, extreme_sources, node_grid
 from .direct import SINGLE_PRECISION, active_variant, direct_sum, supports
 from .interpolated import interpolated
-from .lowrank import LARGEST_TABLE, LowRank, expand, low_rank_sum
+from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
 from .machine import Costs, measured_costs
 from .paths import Path
 from .reference import reference_sum, sample_of
@@ -32,6 +32,12 @@ EXPANSION_SECONDS = 0.03
 
 TABLE_SECONDS = 2e-7
 """Per entry of the expansion's table: one path, one complex exponential, a few complex products."""
+
+TYPICAL_RANK = 6
+"""Rank that a part of a large spot is taken to have when it is asked how many parts could pay."""
+
+MOST_PARTS = 256
+"""Parts of a spot beyond which the search for expansions costs more than it saves."""
 
 SAMPLED_PAIRS = 10_000_000
 """Pairs spent on measuring the error, as far as between 8 and 64 sampled points allow."""
@@ -143,23 +149,34 @@ class Task:
         best = min([all_pairs, *(candidate.seconds for candidate in found)])
         least = EXPANSION_SECONDS + 2 * count * costs.nufft_point
         if best > least:
-            table = int(min(LARGEST_TABLE, (best - least) / TABLE_SECONDS))
-            expansion = expand(
-                self.path, self.sources, self.weights, self.target, self.box, self.wavelength, self.tolerance, table
-            )
-            if expansion is not None:
-                found.append(self._expanded(expansion, costs, few_nodes, interpolation))
+            points = self.nodes.size if few_nodes else self.target.size
+            parts = expand_in_parts(
+                self.path, self.sources, self.weights, self.target, self.wavelength, self.tolerance,
+                largest_table=int(min(LARGEST_TABLE, (best - least) / TABLE_SECONDS)),
+                most_parts=int(np.clip((best - least) / (TYPICAL_RANK * points * costs.nufft_point), 1, MOST_PARTS)),
+            )  # fmt: skip
+            if parts is not None:
+                found.append(self._expanded(parts, costs, few_nodes, interpolation))
         return sorted(found, key=lambda candidate: candidate.seconds)
 
-    def _expanded(self, expansion: LowRank, costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
+    def _expanded(self, parts: list[Part], costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
         def low_rank(places: PlanePoints) -> np.ndarray:
-            return low_rank_sum(expansion, self.sources, self.weights, places)
+            return sum(
+                low_rank_sum(part.expansion, self.sources[part.members], self.weights[part.members], places)
+                for part in parts
+            )
 
-        seconds = (expansion.rank + 2) * costs.nufft_point * len(self.sources) * expansion.cost_factor
-        name = f"NUFFT of rank {expansion.rank}"
+        points = self.nodes.size if few_nodes else self.target.size
+        seconds = costs.nufft_point * sum(
+            part.expansion.cost_factor * ((part.expansion.rank + 2) * len(part.members) + part.expansion.rank * points)
+            for part in parts
+        )
+        ranks = [part.expansion.rank for part in parts]
+        name = f"NUFFT of rank {ranks[0]}"
+        if len(parts) > 1:
+            name = f"NUFFTs of rank {min(ranks)} to {max(ranks)} of {len(parts)} parts of the spot"
         if few_nodes:
             return Candidate(f"{name} on {self._node_text}", seconds + interpolation, lambda: self._on_nodes(low_rank))
-        seconds += expansion.rank * costs.nufft_point * self.target.size * expansion.cost_factor
         return Candidate(f"{name} on all points", seconds, lambda: _in_parts(low_rank, self.target))
 
     @property

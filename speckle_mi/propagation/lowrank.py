@@ -33,6 +33,9 @@ FIRST_ORDERS = (5, 5, 3)
 LARGEST_TABLE = 1_500_000
 """Source-node x target-node pairs beyond which the expansion is given up: near field or a huge spot."""
 
+SMALLEST_PART = 64
+"""Sources that are not shared out further: their pairs cost less than NUFFTs."""
+
 RANK_SHARE = 0.5
 """Share of the tolerance that the terms left out may take."""
 
@@ -123,6 +126,43 @@ def expand(
         path, box, rectangle, wavelength, middle, sources, weights, kernel, slopes, constant, source_orders, target_orders,
         linear, tolerance,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Part:
+    """An expansion and the indices of the sources that it is for."""
+
+    expansion: LowRank
+    members: np.ndarray
+
+
+def expand_in_parts(
+    path: Path,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    target: PlaneGrid | PlanePoints,
+    wavelength: float,
+    tolerance: float,
+    largest_table: int,
+    most_parts: int,
+) -> list[Part] | None:
+    """Expansions of all sources, or of halves, quarters, ... of a spot too large for one; None beyond ``most_parts``."""
+    waiting, parts = [np.arange(len(sources))], []
+    while waiting:
+        if len(waiting) + len(parts) > most_parts:
+            return None
+        members = waiting.pop()
+        some = sources[members] if len(members) < len(sources) else sources
+        box = SourceBox.around(some, target.u)
+        expansion = expand(path, some, weights[members], target, box, wavelength, tolerance, largest_table)
+        if expansion is not None:
+            parts.append(Part(expansion, members))
+            continue
+        if len(members) < SMALLEST_PART:
+            return None
+        upper = box.to_local(some)[:, np.argmax(box.half)] > 0
+        waiting += [members[upper], members[~upper]]
+    return parts
 
 
 def _absolute_tails(values: np.ndarray, orders: tuple[int, ...]) -> np.ndarray:

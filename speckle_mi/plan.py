@@ -1,0 +1,338 @@
+"""Decides which stages a scene needs: free space, unfolded mirrors, traced elements, diffraction at openings.
+
+For every route of the light the plan says where it is diffracted and over what each leg of the way goes. A stage that
+a scene does not need is left out; the plan says so, in words that are printed and kept with every result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .assembly import Assembly
+from .geometry import Frame, PlaneGrid
+from .optics.aim import aim
+from .optics.surfaces import Circle, Interaction, Rectangle, Sequence, Surface
+from .optics.trace import RayStatus, trace
+from .optics.unfold import unfold
+from .parameters import SceneError
+from .routes import Route, find_routes
+
+CLEAR_OF_EDGE = 25.0
+"""Fresnel parameter v of the nearest edge from which on it is not diffracted at: its wave is below 1/(pi sqrt(2) v)."""
+
+NEAR_CAUSTIC = 1e-3
+"""Cross section of a ray tube, relative to free space, below which geometric optics does not apply."""
+
+_RIM_POINTS = 48
+_DETECTOR_SAMPLES = 9
+_INSIDE_RIM = 1 - 1e-6
+_LIMITING_SHARE = 0.01
+"""Share of an opening's rim that must be the edge of the light for the opening to count as limiting it."""
+
+
+@dataclass(frozen=True)
+class Rim:
+    """An outline that light goes through, as a plane: where it stands in the order of interactions.
+
+    name: element; plane: the plane of the rim with its outline; number: of the interaction whose outline it is;
+    position: number of interactions before the plane; index: of the medium there; is_screen: whether it is an aperture
+    or a mirror's edge rather than a lens's.
+    """
+
+    name: str
+    plane: Surface
+    number: int
+    position: int
+    index: float
+    is_screen: bool
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One route with everything that its field is computed from.
+
+    interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
+    diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
+    lines: the plan in words.
+    """
+
+    route: Route
+    interactions: tuple[Interaction, ...]
+    grid: PlaneGrid
+    openings: tuple[Rim, ...]
+    rims: tuple[Rim, ...]
+    lines: tuple[str, ...]
+
+    def leg(self, number: int) -> tuple[Interaction, ...]:
+        """The refracting and reflecting interactions between point set ``number`` and the next."""
+        first = self.openings[number - 1].position if number > 0 else 0
+        last = self.openings[number].position if number < len(self.openings) else len(self.interactions)
+        return tuple(i for i in self.interactions[first:last] if i.action != "pass")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is done for a scene. channels: one a route; lines: in words; warnings: one sentence each."""
+
+    channels: tuple[Channel, ...]
+    lines: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+
+
+def make_plan(assembly: Assembly, frame: Frame) -> Plan:
+    """The plan for a scene with its target at ``frame``.
+
+    Raises SceneError where the field cannot be computed as asked: geometric light at a caustic, or no opening that
+    limits the light in a system with a focus on the detector.
+    """
+    if not assembly.elements:
+        free = Channel(Route((), (), 0), (), assembly.detector, (), (), ())
+        return Plan((free,), ("free space: nothing stands between target and detector, no ray is launched",))
+    arrivals = find_routes(assembly, frame)
+    if not arrivals.routes:
+        blocker = _main_blocker(arrivals.stopped)
+        return Plan((), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",))
+    channels = tuple(_channel(assembly, frame, route) for route in arrivals.routes)
+    lines = [line for channel in channels for line in channel.lines]
+    if not arrivals.in_area:
+        lines.append("the geometric light passes beside the detector: only diffracted light can reach it")
+    return Plan(channels, tuple(lines))
+
+
+def _main_blocker(stopped) -> str:
+    elements = [(count, name) for name, count in stopped.items() if name not in ("nothing", "target")]
+    if not elements:
+        return "every test ray passes it by"
+    return f"most test rays end at {max(elements)[1]!r}"
+
+
+def _channel(assembly: Assembly, frame: Frame, route: Route) -> Channel:
+    interactions, grid = unfold(route.interactions, assembly.detector)
+    rims = _rims(assembly, route.names, interactions)
+    bare = Channel(route, interactions, grid, (), rims, ())
+    openings, reason = _openings(assembly, frame, bare)
+    lines = [f"way: {route.label}", *_mirror_line(route)]
+    traced = [name for name, i in zip(route.names, interactions) if i.action != "pass"]
+    if traced:
+        lines.append(f"traced: path length and amplitude through {', '.join(dict.fromkeys(traced))}")
+    lines.append(reason)
+    return Channel(route, interactions, grid, openings, rims, tuple(lines))
+
+
+def _mirror_line(route: Route) -> list[str]:
+    mirrors = [name for name, i in zip(route.names, route.interactions) if i.action == "reflect" and i.surface.is_plane]
+    return [f"unfolded: plane mirror {', '.join(mirrors)}"] if mirrors else []
+
+
+def _rims(assembly: Assembly, names: tuple[str, ...], interactions: tuple[Interaction, ...]) -> tuple[Rim, ...]:
+    vertices = [assembly.target.spot, *(i.surface.frame.origin for i in interactions)]
+    return tuple(
+        _rim(name, number, interaction, interaction.surface.frame.origin - vertices[number])
+        for number, (name, interaction) in enumerate(zip(names, interactions, strict=True))
+        if interaction.surface.outline is not None
+    )
+
+
+def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -> Rim:
+    """The plane of an interaction's outline; ``travel`` (3,) is the direction in which light comes to it.
+
+    The rim of a curved surface lies off its vertex by the sag there. Where the surface bulges against the light,
+    rays meet first the surface and then the plane of its rim.
+    """
+    surface, outline = interaction.surface, interaction.surface.outline
+    if interaction.action == "pass" or surface.is_plane:
+        return Rim(name, surface, number, number, interaction.index_before, interaction.action == "pass")
+    radius = outline.radius if isinstance(outline, Circle) else float(np.hypot(outline.half_x, outline.half_y))
+    c, k = surface.curvature, surface.conic
+    sag = c * radius**2 / (1 + np.sqrt(max(1 - (1 + k) * c * c * radius**2, 0.0)))
+    bulges = sag * float(travel @ surface.frame.axes[:, 2]) > 0
+    if bulges and interaction.action == "reflect":
+        sag = 0.0  # light never comes to the plane of a convex mirror's rim: take the one through its vertex
+    plane = Surface(Frame(surface.frame.origin + sag * surface.frame.axes[:, 2], surface.frame.axes), outline=outline)
+    if bulges and interaction.action == "refract":
+        return Rim(name, plane, number, number + 1, interaction.index_after, False)
+    return Rim(name, plane, number, number, interaction.index_before, False)
+
+
+# Which openings limit the light
+
+
+def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple[Rim, ...], str]:
+    """The openings to diffract at, and the reason in words."""
+    if not channel.rims:
+        return (), _without_rims(assembly, frame, channel)
+    geometric = _geometric_view(assembly, frame, channel)
+    if not assembly.options.diffraction:
+        if geometric is None:
+            raise SceneError(
+                f"way {channel.route.label}: a focus lies at the detector, where the geometric field that "
+                "diffraction=false asks for is infinite: set diffraction to true, or move the detector"
+            )
+        return (), "openings cast geometric shadows, as diffraction=false asks for"
+    if geometric is not None:
+        fringe = np.array([_fresnel_clearance(assembly, channel, rim, geometric) for rim in channel.rims])
+        if np.all(fringe >= CLEAR_OF_EDGE):
+            nearest = channel.rims[int(np.argmin(fringe))]
+            return (), (
+                f"diffracts nothing: the nearest edge, of {nearest.name}, is clear of the light "
+                f"(its wave is below {1 / (np.pi * np.sqrt(2) * fringe.min()):.1%} of the field)"
+            )
+        candidates = [rim for rim, v in zip(channel.rims, fringe) if v < CLEAR_OF_EDGE]
+    else:
+        candidates = list(channel.rims)
+    limiting = _limiting(assembly, channel, candidates)
+    if not limiting:
+        if geometric is not None:
+            return (), "diffracts nothing: no edge lies in the light"
+        raise SceneError(f"way {channel.route.label}: a focus lies at the detector but no opening limits the light: put an aperture")
+    has_power = any(i.action != "pass" for i in channel.interactions)
+    screens = [rim for rim in limiting if rim.is_screen]
+    if has_power:
+        # Between curved surfaces one opening is enough: the others clip its nodes as geometric shadows.
+        chosen = (screens or limiting)[:1]
+    else:
+        chosen = sorted(limiting, key=lambda rim: rim.position)
+    names = ", ".join(rim.name for rim in chosen)
+    clipping = [rim.name for rim in limiting if rim not in chosen]
+    note = f" (shadows of {', '.join(dict.fromkeys(clipping))} fall on it)" if clipping else ""
+    return tuple(chosen), f"diffracted at {names}{note}"
+
+
+def _without_rims(assembly: Assembly, frame: Frame, channel: Channel) -> str:
+    if not channel.interactions:
+        return "free space: the light meets nothing on this way"
+    if _geometric_view(assembly, frame, channel) is None:
+        raise SceneError(f"way {channel.route.label}: a focus lies at the detector but no opening limits the light: put an aperture")
+    return "diffracts nothing: no edge lies on this way"
+
+
+def _spot_samples(assembly: Assembly, frame: Frame) -> np.ndarray:
+    """The spot's middle and points around it as far as it is summed, (n, 3)."""
+    target = assembly.target
+    if target.points is not None:
+        places = frame.to_world(target.points.points)
+        return np.unique(np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]), axis=0)
+    size = assembly.beam.cutoff if np.isfinite(assembly.beam.radius) else np.inf
+    size = min(size, 0.5 * float(np.ptp(target.surface.facets.bounds)))
+    around = [target.spot + size * sign * frame.axes[:, k] for k in (0, 1) for sign in (-1, 1)]
+    return np.array([target.spot, *around])
+
+
+def _detector_samples(grid: PlaneGrid) -> np.ndarray:
+    side = -np.cos(np.pi * (np.arange(_DETECTOR_SAMPLES) + 0.5) / _DETECTOR_SAMPLES)
+    a, b = (values.ravel() for values in np.meshgrid(side, side))
+    half = 0.5 * grid.pitch
+    return grid.centre + (half * grid.shape[1] * a)[:, None] * grid.u + (half * grid.shape[0] * b)[:, None] * grid.v
+
+
+def detector_plane(grid: PlaneGrid) -> Interaction:
+    """The detector's plane as the end of a sequence."""
+    return Interaction.through(Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1))))
+
+
+@dataclass(frozen=True)
+class _View:
+    """Rays from every sample of the spot to every sample of the detector: points (s, n, 3) at every interaction."""
+
+    sources: np.ndarray
+    targets: np.ndarray
+    points: np.ndarray = field(repr=False)
+
+
+def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> _View | None:
+    """The rays from spot to detector, or None where there is not exactly one for each pair, clear of a caustic."""
+    sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
+    spots, pixels = _spot_samples(assembly, frame), _detector_samples(channel.grid)
+    sources, targets = np.repeat(spots, len(pixels), axis=0), np.tile(pixels, (len(spots), 1))
+    aimed = aim(sequence, sources, targets)
+    if not np.all(aimed.converged) or np.min(np.abs(aimed.spread)) < NEAR_CAUSTIC:
+        return None
+    if np.ptp(aimed.caustics) > 0:
+        return None
+    traced = trace(sequence, sources, aimed.launch)
+    return _View(sources, targets, traced.points)
+
+
+def _fresnel_clearance(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> float:
+    """Smallest Fresnel parameter v = d sqrt(2 / (lambda L)) of the rays' distance d to a rim, negative outside it.
+
+    1/L is the curvature at the rim's plane of the path over it, that is of its two parts together.
+    """
+    hit = rim.plane.frame.to_local(view.points[rim.number])
+    clearance = _clearance(rim.plane.outline, hit)
+    nearest = int(np.argmin(clearance))
+    pair = slice(nearest, nearest + 1)
+    curvature = _curvature_over(channel, rim, view.sources[pair], view.targets[pair], view.points[rim.number, pair])
+    return float(clearance[nearest] * np.sqrt(2 * abs(curvature) / assembly.beam.wavelength))
+
+
+def _clearance(outline: Circle | Rectangle, local: np.ndarray) -> np.ndarray:
+    """Distance [mm] of local points (n, 3) inside an outline from its edge, (n,)."""
+    if isinstance(outline, Circle):
+        return outline.radius - np.hypot(local[:, 0], local[:, 1])
+    return np.minimum(outline.half_x - np.abs(local[:, 0]), outline.half_y - np.abs(local[:, 1]))
+
+
+def _curvature_over(channel: Channel, rim: Rim, source: np.ndarray, target: np.ndarray, hit: np.ndarray) -> float:
+    """Smallest curvature [1/mm] of the path source - point of the rim's plane - target around the ray's own point."""
+    frame = rim.plane.frame
+    local = frame.to_local(hit)
+    middle = frame.to_world(local * [1, 1, 0])
+    step = 1e-2 * _outline_size(rim.plane.outline)
+    offsets = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step
+    places = middle + offsets[:, :1] * frame.axes[:, 0] + offsets[:, 1:] * frame.axes[:, 1]
+    length = np.zeros(len(places))
+    for piece, reverse in _halves(channel, rim):
+        ends = np.broadcast_to(target if reverse else source, places.shape)
+        if reverse:
+            aimed = aim(piece, places, ends)
+        else:
+            aimed = aim(piece, ends, places)
+        length += aimed.optical_path_length
+    second = [(length[k] + length[k + 1] - 2 * length[0]) / step**2 for k in (1, 3)]
+    return float(np.nanmin(np.abs(second))) if np.any(np.isfinite(second)) else 0.0
+
+
+def _halves(channel: Channel, rim: Rim) -> list[tuple[Sequence, bool]]:
+    before = tuple(i for i in channel.interactions[: rim.position] if i.action != "pass")
+    after = tuple(i for i in channel.interactions[rim.position :] if i.action != "pass")
+    plane = Interaction.through(Surface(rim.plane.frame), rim.index)
+    return [(Sequence((*before, plane)), False), (Sequence((*after, detector_plane(channel.grid))), True)]
+
+
+def _outline_size(outline: Circle | Rectangle) -> float:
+    return outline.radius if isinstance(outline, Circle) else min(outline.half_x, outline.half_y)
+
+
+def _limiting(assembly: Assembly, channel: Channel, candidates: list[Rim]) -> list[Rim]:
+    """Those rims that are the edge of the light from the spot's middle, the most limiting first."""
+    sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
+    shares = []
+    for rim in candidates:
+        places = _rim_points(rim.plane)
+        before = tuple(i for i in channel.interactions[: rim.position] if i.action != "pass")
+        source = np.broadcast_to(assembly.target.spot, places.shape)
+        aimed = aim(Sequence((*before, Interaction.through(Surface(rim.plane.frame), rim.index))), source, places)
+        reached = aimed.converged
+        free = np.zeros(len(places), dtype=bool)
+        if np.any(reached):
+            traced = trace(sequence, source[reached], aimed.launch[reached])
+            alive = traced.status <= RayStatus.OUTSIDE_OUTLINE
+            free[reached] = alive & np.all(traced.margins >= -1e-4, axis=0)
+        shares.append(np.mean(free))
+    order = np.argsort(shares, kind="stable")[::-1]
+    return [candidates[k] for k in order if shares[k] > _LIMITING_SHARE]
+
+
+def _rim_points(plane: Surface) -> np.ndarray:
+    """World points (n, 3) just inside an outline."""
+    angle = 2 * np.pi * (np.arange(_RIM_POINTS) + 0.5) / _RIM_POINTS
+    x, y = np.cos(angle), np.sin(angle)
+    if isinstance(plane.outline, Circle):
+        x, y = plane.outline.radius * x, plane.outline.radius * y
+    else:
+        largest = np.maximum(np.abs(x), np.abs(y))
+        x, y = plane.outline.half_x * x / largest, plane.outline.half_y * y / largest
+    return plane.frame.to_world(_INSIDE_RIM * np.stack([x, y, 0 * x], axis=1))
