@@ -2,16 +2,46 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from . import theory
 from .assembly import Assembly
-from .geometry import DEGREES_OF_FREEDOM, Pose
+from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
+from .optics.aim import aim
+from .optics.surfaces import Circle, Interaction, Sequence, Surface
+from .optics.trace import trace
+from .plan import Channel, detector_plane
+from .simulate import plan_of
 
 PATTERN_AXES = ("u", "v", "x", "y")
 CENTRE_AXES = ("cog_u", "cog_v")
 AXES = (*PATTERN_AXES, *CENTRE_AXES)
 """Axes along which motion of the image is reported: the detector's, the target's, and those of its centre of gravity."""
+
+_ASTIGMATISM = 0.02
+"""Relative difference of the two principal defoci up to which a system counts as one that images a plane."""
+
+_STEP = 1e-4
+"""Step [mm, rad] of the difference quotients along a chief ray."""
+
+
+def expected_sensitivity(assembly: Assembly) -> dict[str, np.ndarray | None]:
+    """Sensitivities (6,) [mm/mm, mm/deg] to the six motions for every axis, None where there is no theory.
+
+    There is none where the light comes by several ways, or the detector sees a strongly astigmatic system.
+    """
+    nothing: dict[str, np.ndarray | None] = dict.fromkeys(AXES)
+    channels = plan_of(assembly).channels
+    if len(channels) != 1:
+        return nothing
+    pattern, centre = _pattern_displacement(assembly, channels[0]), _centre_displacement(assembly, channels[0])
+    if pattern is not None:
+        nothing |= zip(PATTERN_AXES, on_all_axes(theory.per_degree(pattern), assembly), strict=True)
+    if centre is not None:
+        nothing |= zip(CENTRE_AXES, theory.per_degree(centre), strict=True)
+    return nothing
 
 
 def on_all_axes(matrix: np.ndarray, assembly: Assembly) -> np.ndarray:
@@ -20,29 +50,22 @@ def on_all_axes(matrix: np.ndarray, assembly: Assembly) -> np.ndarray:
     return np.concatenate([matrix, theory.project_on_target(matrix, grid.u, grid.v, frame.axes)])
 
 
-def expected_sensitivity(assembly: Assembly) -> dict[str, np.ndarray | None]:
-    """Sensitivities (6,) [mm/mm, mm/deg] to the six motions for every axis, None where there is no theory."""
-    target, beam, grid = assembly.target, assembly.beam, assembly.detector
-    matrix = theory.per_degree(
-        theory.first_order_displacement(
-            spot=target.spot,
-            origin=target.frame.origin,
-            axes=target.frame.axes,
-            source_direction=-beam.axis,
-            wavefront_radius=beam.wavefront_radius,
-            detector_centre=grid.centre,
-            u=grid.u,
-            v=grid.v,
-            normal=target.spot_normal,
-        )
-    )
-    expected: dict[str, np.ndarray | None] = dict(zip(PATTERN_AXES, on_all_axes(matrix, assembly), strict=True))
-    return expected | dict.fromkeys(CENTRE_AXES)
-
-
 def expected_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -> np.ndarray | None:
-    """Peak correlation (n,) that the material's motion across the Gaussian beam leaves, None for uniform light."""
-    if np.isinf(assembly.beam.radius) or dof not in DEGREES_OF_FREEDOM:
+    """Peak correlation (n,) that a motion leaves, None where there is no theory.
+
+    Without a lens the material's motion across the Gaussian beam counts; with one, the motion of the light across the
+    circular pupil.
+    """
+    channels = plan_of(assembly).channels
+    if len(channels) != 1:
+        return None
+    if not channels[0].has_power:
+        return _beam_correlation(assembly, dof, displacements)
+    return _pupil_correlation(assembly, channels[0], dof, displacements)
+
+
+def _beam_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -> np.ndarray | None:
+    if np.isinf(assembly.beam.radius):
         return None
     target = assembly.target
     across = [
@@ -54,3 +77,114 @@ def expected_correlation(assembly: Assembly, dof: str, displacements: np.ndarray
         for displacement in displacements
     ]
     return theory.decorrelation_in_plane(np.array(across), assembly.beam.radius)
+
+
+def _pupil_correlation(assembly: Assembly, channel: Channel, dof: str, displacements: np.ndarray) -> np.ndarray | None:
+    if len(channel.openings) != 1 or not isinstance(channel.openings[0].plane.outline, Circle) or channel.leg(0):
+        return None
+    plane = channel.openings[0].plane
+    per_motion = _free_space(assembly, plane.frame.origin, plane.frame.axes[:, 0], plane.frame.axes[:, 1])
+    moved = np.linalg.norm(per_motion[:, DEGREES_OF_FREEDOM.index(dof)])
+    size = np.abs(displacements) * (np.pi / 180 if is_rotation(dof) else 1.0)
+    return theory.decorrelation_circular_pupil(np.minimum(moved * size / (2 * plane.outline.radius), 1.0))
+
+
+def _free_space(assembly: Assembly, place: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """(2, 6) displacement [mm/mm, mm/rad] of the free-space pattern at a place, along u and v."""
+    target, beam = assembly.target, assembly.beam
+    return theory.first_order_displacement(
+        target.spot, target.frame.origin, target.frame.axes, -beam.axis, beam.wavefront_radius, place, u, v, target.spot_normal
+    )
+
+
+def _pattern_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | None:
+    grid = channel.grid
+    if not channel.has_power:
+        return _free_space(assembly, grid.centre, grid.u, grid.v)
+    view = _chief_ray(assembly, channel)
+    if view is None:
+        return None
+    defocus = np.linalg.solve(view.magnification, view.lever)
+    mean = 0.5 * np.trace(defocus)
+    if np.abs(defocus - mean * np.eye(2)).max() > _ASTIGMATISM * max(abs(mean), view.distance):
+        return None
+    target, beam = assembly.target, assembly.beam
+    return theory.imaging_displacement(
+        target.spot, target.frame.origin, target.frame.axes, -beam.axis, beam.wavefront_radius,
+        view.sight, view.across[0], view.across[1], view.magnification, float(mean), target.spot_normal,
+    )
+
+
+def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | None:
+    """(2, 6) motion of the light's centre of gravity: the spot, seen through the middle of the one opening."""
+    if len(channel.openings) != 1:
+        return None
+    target, beam = assembly.target, assembly.beam
+    if not channel.has_power:
+        return theory.centre_of_gravity_aperture(
+            target.spot, target.frame.origin, target.frame.axes, -beam.axis, channel.openings[0].plane.frame.origin,
+            channel.grid.centre, channel.grid.u, channel.grid.v, target.spot_normal,
+        )
+    slide = theory.spot_displacement(target.spot, target.frame.origin, target.frame.axes, -beam.axis, target.spot_normal)
+    steps = np.concatenate([[np.zeros(3)], _STEP * np.eye(3)])
+    landing = _landings_through_opening(assembly, channel, target.spot + steps)
+    return None if landing is None else ((landing[1:] - landing[0]) / _STEP).T @ slide
+
+
+@dataclass(frozen=True)
+class _ChiefRay:
+    """The ray from the spot through the opening's middle, and its neighbours.
+
+    sight: (3,) its direction at the spot; across: (2, 3) unit vectors across it; magnification, lever: (2, 2) motion of
+    its end on the detector per shift [mm/mm] and per tilt [mm/rad] of its beginning; distance: to the opening [mm].
+    """
+
+    sight: np.ndarray
+    across: np.ndarray
+    magnification: np.ndarray
+    lever: np.ndarray
+    distance: float
+
+
+def _chief_ray(assembly: Assembly, channel: Channel) -> _ChiefRay | None:
+    spot = assembly.target.spot
+    launch = _launch_to_opening(channel, spot[None])
+    if launch is None:
+        return None
+    sight = launch[0]
+    first = np.cross(sight, assembly.target.frame.axes[:, 1])
+    if np.linalg.norm(first) < 1e-3:
+        first = np.cross(sight, assembly.target.frame.axes[:, 0])
+    first /= -np.linalg.norm(first)
+    across = np.stack([first, np.cross(sight, first)])
+    signs = np.array([1.0, -1.0])
+    shifts = np.concatenate([np.outer(signs, a) for a in across]) * _STEP
+    origins = np.concatenate([spot + shifts, np.broadcast_to(spot, shifts.shape)])
+    directions = np.concatenate([np.broadcast_to(sight, shifts.shape), sight + shifts])
+    ends = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), origins, directions).points[-1]
+    if not np.all(np.isfinite(ends)):
+        return None
+    ends = np.stack([ends @ channel.grid.u, ends @ channel.grid.v])
+    slopes = (ends[:, 0::2] - ends[:, 1::2]) / (2 * _STEP)
+    end = channel.openings[0].plane.frame.origin if channel.openings else channel.grid.centre
+    return _ChiefRay(sight, across, slopes[:, :2], slopes[:, 2:], float(np.linalg.norm(end - spot)))
+
+
+def _launch_to_opening(channel: Channel, sources: np.ndarray) -> np.ndarray | None:
+    """Directions (n, 3) of the rays from sources to the middle of the first opening, or of the detector."""
+    if channel.openings:
+        rim = channel.openings[0]
+        middle, end = rim.plane.frame.origin, Interaction.through(Surface(rim.plane.frame), rim.index)
+    else:
+        middle, end = channel.grid.centre, detector_plane(channel.grid)
+    aimed = aim(Sequence((*channel.leg(0), end)), sources, np.broadcast_to(middle, sources.shape))
+    return aimed.launch if np.all(aimed.converged) else None
+
+
+def _landings_through_opening(assembly: Assembly, channel: Channel, sources: np.ndarray) -> np.ndarray | None:
+    """Where the rays from sources (n, 3) through the opening's middle end on the detector, (n, 2) along u and v."""
+    launch = _launch_to_opening(channel, sources)
+    if launch is None:
+        return None
+    ends = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), sources, launch).points[-1]
+    return np.stack([ends @ channel.grid.u, ends @ channel.grid.v], axis=1)

@@ -33,6 +33,9 @@ LOOSEST, TIGHTEST = 1e-1, 1e-13
 MOST_NODES = 50_000_000
 """Most nodes of one opening."""
 
+MOST_ALONG = 10_000
+"""Most Gauss-Legendre nodes along a line; finding more takes many seconds."""
+
 _BOUNDARY_SAMPLES = 4096
 """Angles at which a star-shaped boundary is looked at."""
 
@@ -86,12 +89,14 @@ def star_nodes(
     # Half the error for each of the two rules.
     error = 0.5 * tolerance * min(1.0, 2.0 / max(total * np.sqrt(area / np.pi), 1e-300))
 
-    t, radial = _gauss(_gauss_count(_change_along(across, total) * widest / 2, error) + 1)  # the area's t: one degree more
-    t, radial = (1 + t) / 2, radial / 2
     # Along the curve t r(theta) the phase changes with both components of its gradient.
     per_angle = float(np.max(np.hypot(across * radius, total * slope)))
+    count = _gauss_count(_change_along(across, total) * widest / 2, error) + 1  # the area's t: one degree more
+    _check_count(count, count * max(1.0, per_angle / 2))
+    t, radial = _gauss(count)
+    t, radial = (1 + t) / 2, radial / 2
     angles = _angle_counts(per_angle * t, error) + orders
-    _check_count(float(np.sum(angles)))
+    _check_count(count, float(np.sum(angles)))
 
     ring = np.repeat(np.arange(t.size), angles)
     step = np.arange(ring.size) - np.repeat(np.cumsum(angles) - angles, angles)
@@ -119,7 +124,7 @@ def _rectangle_nodes(
     # Mean square of sin(c)/c over all c up to the given change, the L2 scale of each side.
     scale = np.sqrt(np.prod(np.minimum(1.0, np.pi / 2 / np.maximum(change, 1e-300))))
     counts = [_gauss_count(c, 0.5 * tolerance * scale) for c in change]
-    _check_count(float(np.prod(counts)))
+    _check_count(max(counts), float(np.prod(counts)))
     (x, wx), (y, wy) = (_gauss(n) for n in counts)
     a, b = np.meshgrid(half[0] * x, half[1] * y, indexing="ij")
     return _on_plane(frame, a.ravel(), b.ravel()), np.multiply.outer(half[0] * wx, half[1] * wy).ravel()
@@ -207,9 +212,9 @@ def _check(tolerance: float) -> None:
         raise ValueError(f"tolerance = {tolerance}: must be between {TIGHTEST:g} and {LOOSEST:g}")
 
 
-def _check_count(nodes: float) -> None:
-    if nodes > MOST_NODES:
+def _check_count(along: int, nodes: float) -> None:
+    if nodes > MOST_NODES or along > MOST_ALONG:
         raise ValueError(
-            f"the opening needs {nodes:.3g} nodes, must need at most {MOST_NODES:.3g}: it is too large, or its light too "
-            "steep, for a diffraction integral (diffraction=false gives the geometric field)"
+            f"the opening needs {nodes:.3g} nodes, {along} along a line, must need at most {MOST_NODES:.3g} and "
+            f"{MOST_ALONG}: it is too large, or its light too steep, for a diffraction integral"
         )

@@ -65,6 +65,11 @@ class Channel:
     rims: tuple[Rim, ...]
     lines: tuple[str, ...]
 
+    @property
+    def has_power(self) -> bool:
+        """Whether anything on the way refracts or reflects light, plane mirrors apart."""
+        return any(interaction.action != "pass" for interaction in self.interactions)
+
     def leg(self, number: int) -> tuple[Interaction, ...]:
         """The refracting and reflecting interactions between point set ``number`` and the next."""
         first = self.openings[number - 1].position if number > 0 else 0
@@ -187,9 +192,8 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
         if geometric is not None:
             return (), "diffracts nothing: no edge lies in the light"
         raise SceneError(f"way {channel.route.label}: a focus lies at the detector but no opening limits the light: put an aperture")
-    has_power = any(i.action != "pass" for i in channel.interactions)
     screens = [rim for rim in limiting if rim.is_screen]
-    if has_power:
+    if channel.has_power:
         # Between curved surfaces one opening is enough: the others clip its nodes as geometric shadows.
         chosen = (screens or limiting)[:1]
     else:

@@ -14,7 +14,7 @@ rim lends its path to the interpolation next to the edge, so that the clearance'
 
 Relative error of the field on the paper's detector (744 x 480 pixels at 60 mm, free space) against the exact sum: 16 rays
 a source 2e-2, 36: 7e-4, 64: 4e-6, 100: 2e-7, 400 and more: 1e-10, the rounding of the path. Linear interpolation of 1500
-rays: LINEAR. Lenses out of focus with 1500 rays: 1e-10 to 1e-6, the more the closer to the focus.
+rays: 0.3. Lenses out of focus with 1500 rays: 1e-10 to 1e-6, the more the closer to the focus.
 The polynomials' degree d ~ 2 N2^(1/4) is what regularly spaced rays determine stably (L. N. Trefethen, "Approximation
 Theory and Approximation Practice", SIAM 2013, ch. 13), so the error falls like exp(-C N2^(1/4)).
 """
@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from scipy.linalg import qr, solve_triangular
+from scipy.linalg import eigh
 from scipy.ndimage import binary_dilation
 
 from speckle_mi.geometry import Frame, PlaneGrid
@@ -42,7 +42,7 @@ FEWEST_ARRIVALS = 4
 MAXIMUM_DEGREE = 16
 """Of the polynomials: rounding is reached before, and the fit's cost grows with its fourth power."""
 DEPENDENT = 1e-12
-"""Part of a polynomial, relative to the first, below which the rays do not tell it from the others."""
+"""Mean square of a polynomial on the rays, relative to the largest, below which the rays do not tell it from the others."""
 PROBE_RAYS, DENSE_PROBE_RAYS = 41, 201
 """Rays along each side of the lattices that find the solid angle to be covered; dense: the first look for a pinhole."""
 PROBE_STEPS = 20
@@ -320,8 +320,8 @@ class _Arrivals:
 
     rays: all of the lattice; box: (2, 2) low and high corner of the region that they are interpolated in [mm];
     lit: (n,) free and on the detector; used: (n,) lent to the interpolation; lines: of the lattice that hold such rays,
-    along p and q; rim_cuts: some are blocked on their way to
-    the detector; ragged: light ends next to rays that do not exist, not at a rim; solid_angle: of one ray [sr].
+    along p and q; rim_cuts: rims, and not the detector's edges, bound
+    the light; ragged: light ends next to rays that do not exist, not at a rim; solid_angle: of one ray [sr].
     """
 
     rays: _Rays
@@ -375,7 +375,8 @@ def _selected(rays: _Rays, lit: np.ndarray, shape: tuple[int, int], solid_angle:
     near = (rays.status <= RayStatus.OUTSIDE_OUTLINE) & rays.within(*box)
     used = near & (rays.tube * sign > 0) & np.all(rays.margins > band, axis=0)
     used |= lit
-    rim_cuts = bool(np.any(near & ~rays.free & rays.within(*_detector_box(grid))))
+    on_detector = rays.within(*_detector_box(grid))
+    rim_cuts = bool(np.any(near & ~rays.free & on_detector)) and not np.any(rays.free & ~on_detector)
     no_ray = (rays.status > RayStatus.OUTSIDE_OUTLINE).reshape(shape)
     ragged = bool(np.any(binary_dilation(no_ray) & lit.reshape(shape)))
     lines = tuple(int(used.reshape(shape).any(axis=i).sum()) for i in (1, 0))
@@ -483,18 +484,19 @@ class _Fit:
         keep = _euclidean_degree(arrivals.lines, count)
         x, y = (chebvander(t, n - 1) for t, n in zip(_scaled(place.T, box).T, keep.shape, strict=True))
         basis = (x[:, :, None] * y[:, None, :])[:, keep]
-        q, r, order = qr(basis, mode="economic", pivoting=True, check_finite=False)
-        # Where rays fill only part of the box the basis is nearly dependent; the cut leaves no wild combinations.
-        rank = int(np.count_nonzero(np.abs(np.diag(r)) > DEPENDENT * abs(r[0, 0])))
-        q = q[:, :rank]
-        projected = q.T @ values
-        solution = np.zeros((basis.shape[1], values.shape[1]))
-        solution[order[:rank]] = solve_triangular(r[:rank, :rank], projected, check_finite=False)
+        # By the small Gram matrix, refined once: far cheaper than QR. Where rays fill only part of the box the basis is
+        # nearly dependent; the cut leaves no wild combinations.
+        sizes, vectors = eigh(basis.T @ basis, check_finite=False)
+        vectors = vectors[:, sizes > DEPENDENT * sizes[-1]] / np.sqrt(sizes[sizes > DEPENDENT * sizes[-1]])
+        q = basis @ vectors
+        solution = vectors @ (q.T @ values)
+        for _ in range(2):
+            solution += vectors @ (q.T @ (values - basis @ solution))
         coefficients = np.zeros((*keep.shape, values.shape[1]))
         coefficients[keep] = solution
         # Distance of a ray from the interpolant through all others (Allen's PRESS): residual / (1 - leverage).
         left_out = np.maximum(1.0 - (q * q).sum(axis=1), 1e-3)
-        missed = np.abs(q @ projected[:, 0] - values[:, 0]) / left_out
+        missed = np.abs(basis @ solution[:, 0] - values[:, 0]) / left_out
         error = float(missed[arrivals.lit[used]].max()) / wavelength
         return cls(box, coefficients, middle, _lit_cells(arrivals), error)
 

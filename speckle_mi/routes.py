@@ -18,15 +18,22 @@ from .elements import Element
 from .geometry import Frame
 from .optics.surfaces import Interaction, Sequence
 from .optics.trace import RayStatus, trace
+from .parameters import value_of
 
 MAX_INTERACTIONS = 32
 """Rays that have not arrived after this many surfaces are given up."""
+
+_TARGET, _NOTHING, _GONE = -1, -2, -3
+"""What a ray meets next besides an element: the target, nothing, or that it is no more."""
 
 _FAR = 1e30
 """Distance that stands for the detector's plane beside its area: behind every shape."""
 
 _SAME_FACE = 0.02
 """Part of an element's size within which a second hit of the same face is the mesh's facet, not the face again."""
+
+_STRAY_SHARE = 2e-3
+"""Share of the most travelled route's rays below which a route is a leak between facets of a mesh."""
 
 _HEMISPHERE_RAYS = 2048
 _DETECTOR_RAYS = 24
@@ -72,7 +79,10 @@ def find_routes(assembly: Assembly, frame: Frame) -> Arrivals:
     Where no test ray meets that area, the routes to the detector's plane beside it: diffraction may still reach it.
     """
     directions = _test_directions(assembly, frame)
-    start = assembly.target.spot + _CLEARANCE * (frame.axes @ assembly.target.frame.axes.T @ assembly.target.spot_normal)
+    # A little off the middle: rays along an axis of symmetry would meet vertices of meshes, where facets leak.
+    start = assembly.target.spot + _CLEARANCE * (
+        frame.axes @ assembly.target.frame.axes.T @ assembly.target.spot_normal + 3.7 * frame.axes[:, 0] + 7.1 * frame.axes[:, 1]
+    )
     rays = _Rays(np.broadcast_to(start, directions.shape).copy(), directions, len(directions))
     for _ in range(MAX_INTERACTIONS):
         if not np.any(rays.alive):
@@ -82,9 +92,11 @@ def find_routes(assembly: Assembly, frame: Frame) -> Arrivals:
 
 
 def _routes(elements: tuple[Element, ...], arrived: dict) -> tuple[Route, ...]:
+    least = max(count for count, _ in arrived.values()) * _STRAY_SHARE if arrived else 0
     routes = [
         Route(tuple(elements[number].name for number, *_ in steps), interactions, count)
         for steps, (count, interactions) in arrived.items()
+        if count > least
     ]
     return tuple(sorted(routes, key=lambda route: -route.rays))
 
@@ -176,11 +188,19 @@ def _advance(assembly: Assembly, rays: _Rays) -> None:
     number, reach = _next_shapes(assembly, rays, index)
     detector, inside = _distance_to_detector(assembly, rays.origin[index], rays.direction[index])
     _pass_openings(elements, rays, index, np.minimum(reach, detector))
+    kept = rays.alive[index]
+    index, number, reach, detector, inside = index[kept], number[kept], reach[kept], detector[kept], inside[kept]
     at_detector = detector <= reach
+    # A ray that grazes the edge of a lens can slip between its facets: in glass without a way out, it ends there.
+    slipped = at_detector & (rays.inside[index] >= 0)
+    for place, element in enumerate(elements):
+        rays.stop(index[slipped & (rays.inside[index] == place)], element.name)
+    at_detector &= ~slipped
+    number[slipped] = _GONE
     rays.end(index[at_detector & inside], rays.arrived)
     rays.end(index[at_detector & ~inside & np.isfinite(detector)], rays.passed_by)
     rays.stop(index[at_detector & np.isinf(detector)], "nothing")
-    rays.stop(index[~at_detector & (number == -1)], "target")
+    rays.stop(index[~at_detector & (number == _TARGET)], "target")
     for place, element in enumerate(elements):
         chosen = ~at_detector & (number == place)
         if np.any(chosen):
@@ -192,7 +212,13 @@ def _pass_openings(elements: tuple[Element, ...], rays: _Rays, index: np.ndarray
     numbers = [number for number, element in enumerate(elements) if element.kind == "opening"]
     if not numbers:
         return
-    distance = np.array([_distance_to_opening(elements[k], rays.origin[index], rays.direction[index]) for k in numbers])
+    distance = np.empty((len(numbers), len(index)))
+    for row, number in enumerate(numbers):
+        distance[row], in_hole, on_screen = screen_crossing(elements[number], rays.origin[index], rays.direction[index])
+        # The mesh of a screen leaves a sliver around the hole open; the exact outline decides.
+        rays.stop(index[on_screen & (distance[row] < end) & rays.alive[index]], elements[number].name)
+        distance[row, ~in_hole] = np.inf
+    distance[:, ~rays.alive[index]] = np.inf
     order = np.argsort(distance, axis=0)
     for rank in range(len(numbers)):
         which = order[rank]
@@ -204,17 +230,17 @@ def _pass_openings(elements: tuple[Element, ...], rays: _Rays, index: np.ndarray
 
 
 def _next_shapes(assembly: Assembly, rays: _Rays, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Number of the element each ray meets next (-1: the target, -2: none) and its distance."""
+    """Number of the element each ray meets next, or _TARGET or _NOTHING, and its distance [mm]."""
     scene = assembly.scene
     single = [np.ascontiguousarray(rays.origin[index].T, np.float32), np.ascontiguousarray(rays.direction[index].T, np.float32)]
     ray = mi.Ray3f(mi.Point3f(*map(mi.Float, single[0])), mi.Vector3f(*map(mi.Float, single[1])))
     hit = scene.ray_intersect_preliminary(ray)
     distance = np.array(hit.t, dtype=np.float64)
-    number = np.full(len(index), -2)
+    number = np.full(len(index), _NOTHING)
     for place, element in enumerate(assembly.elements):
         number[np.array(hit.shape == mi.ShapePtr(element.shape))] = place
-    number[np.array(hit.shape == mi.ShapePtr(assembly.target.shape))] = -1
-    distance[number == -2] = np.inf
+    number[np.array(hit.shape == mi.ShapePtr(assembly.target.shape))] = _TARGET
+    distance[number == _NOTHING] = np.inf
     return number, distance
 
 
@@ -233,15 +259,17 @@ def _distance_to_detector(assembly: Assembly, origin: np.ndarray, direction: np.
     return np.where(reached & inside, distance, np.where(reached, _FAR, np.inf)), inside
 
 
-def _distance_to_opening(element: Element, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Distance [mm] to the hole of a screen, inf where the ray does not go through it."""
+def screen_crossing(element: Element, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance (n,) [mm] to the plane of an opening's screen, whether it is crossed in the hole, and in the screen itself."""
     face = element.faces[0]
     local, slope = face.frame.to_local(origin), direction @ face.frame.axes
     with np.errstate(divide="ignore", invalid="ignore"):
         distance = -local[:, 2] / slope[:, 2]
         x, y = (local[:, k] + distance * slope[:, k] for k in (0, 1))
-        inside = np.all(face.outline.margins(x, y) >= 0, axis=0)
-    return np.where(inside & (distance > _CLEARANCE / 2), distance, np.inf)
+        hole = np.all(face.outline.margins(x, y) >= 0, axis=0)
+        screen = np.hypot(x, y) <= value_of(element.shape.outer_radius)
+    met = distance > _CLEARANCE / 2
+    return np.where(met, distance, np.inf), met & hole, met & screen & ~hole
 
 
 def _meet(element: Element, number: int, rays: _Rays, index: np.ndarray, reach: np.ndarray) -> None:

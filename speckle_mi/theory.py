@@ -176,12 +176,7 @@ def centre_of_gravity_aperture(
     Returns (2, 6) along u, v [mm/mm], [mm/rad]. Raises ValueError for grazing light, or an aperture in the plane of
     the detector or at the spot.
     """
-    axes = _frame_axes(axes)
-    to_laser = _unit("source_direction", source_direction)
-    normal = axes[:, 2] if normal is None else _unit("normal", normal)
-    if abs(normal @ to_laser) < GRAZING_COSINE:
-        raise ValueError(f"grazing illumination: source_direction {_text(to_laser)} lies in the surface, must leave it")
-    slide = np.outer(to_laser, normal) @ _motion_of_point(spot, origin, axes) / (normal @ to_laser)
+    slide = spot_displacement(spot, origin, axes, source_direction, normal)
     plane = _detector_axes(u, v)
     facing = np.cross(plane[:, 0], plane[:, 1])
     centre = np.asarray(aperture_centre, dtype=np.float64)
@@ -195,6 +190,21 @@ def centre_of_gravity_aperture(
     if reach <= 0:
         raise ValueError(f"aperture_centre {_text(centre)}: must lie between the spot and the detector plane")
     return -reach * plane.T @ (np.eye(3) - np.outer(ray, facing) / depth) @ slide
+
+
+def spot_displacement(
+    spot: np.ndarray, origin: np.ndarray, axes: np.ndarray, source_direction: np.ndarray, normal: np.ndarray | None = None
+) -> np.ndarray:
+    """(3, 6) displacement of the laser's spot along the fixed beam axis, dS = l_S (n . a)/(n . l_S), world.
+
+    Arguments as in `first_order_displacement`. Per unit motion [mm/mm], [mm/rad]; ValueError for grazing light.
+    """
+    axes = _frame_axes(axes)
+    to_laser = _unit("source_direction", source_direction)
+    normal = axes[:, 2] if normal is None else _unit("normal", normal)
+    if abs(normal @ to_laser) < GRAZING_COSINE:
+        raise ValueError(f"grazing illumination: source_direction {_text(to_laser)} lies in the surface, must leave it")
+    return np.outer(to_laser, normal) @ _motion_of_point(spot, origin, axes) / (normal @ to_laser)
 
 
 # Decorrelation: height of the peak of the intensity correlation, after the shift.

@@ -7,6 +7,7 @@ import numpy as np
 
 from .assembly import Assembly
 from .geometry import Frame, PlaneGrid
+from .routes import screen_crossing
 from .surface import Scatterers
 
 _NOTICEABLE = 1e-3
@@ -42,13 +43,21 @@ def visible_scatterers(assembly: Assembly, frame: Frame, lit: Scatterers) -> tup
 
 
 def unblocked_pixels(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndarray:
-    """1 where the straight way from the spot's middle to a pixel is free of every shape of the scene, else 0."""
+    """1 where the straight way from the spot's middle to a pixel is free of every shape of the scene, else 0.
+
+    A way through the hole of a screen is not counted either: it is a way of its own.
+    """
     target = assembly.target
     normal = frame.axes @ target.frame.axes.T @ target.spot_normal
     start = target.spot + _OFF_SURFACE * normal
     to_pixel = grid.points() - start
     distance = np.linalg.norm(to_pixel, axis=1)
-    free = _free(assembly.scene, np.broadcast_to(start, to_pixel.shape), to_pixel / distance[:, None], distance)
+    start, direction = np.broadcast_to(start, to_pixel.shape), to_pixel / distance[:, None]
+    free = _free(assembly.scene, start, direction, distance)
+    for element in assembly.elements:
+        if element.kind == "opening":
+            crossing, in_hole, on_screen = screen_crossing(element, start, direction)
+            free &= ~((in_hole | on_screen) & (crossing < distance))
     return free.reshape(grid.shape).astype(float)
 
 

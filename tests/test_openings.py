@@ -185,12 +185,13 @@ def slopes(radius: float, source: np.ndarray, targets: np.ndarray) -> tuple[floa
     return total, across
 
 
-@pytest.mark.parametrize("distance", [0.05, 0.5, 5.0, 50.0, 4000.0])
+@pytest.mark.parametrize("distance", [0.1, 0.5, 5.0, 50.0, 4000.0])
 def test_plane_wave_on_the_axis_behind_a_disc(distance):
     # U = e^{ikz} - (z/rho) e^{ik rho}, rho = sqrt(z^2 + R^2): Osterberg and Smith, J. Opt. Soc. Am. 51, 1050 (1961).
     radius = 0.05
     rho = np.hypot(distance, radius)
-    points, weights = opening_nodes(Circle(radius), FLAT, K * radius / rho, 1e-8, tilt=0.0)
+    # sin(chi) grows slower than r: its bound in proportion to r is r/z.
+    points, weights = opening_nodes(Circle(radius), FLAT, K * radius / distance, 1e-8, tilt=0.0)
     field = diffracted(points, weights, np.ones(points.size), np.array([[0.0, 0.0, distance]]))[0]
     exact = np.exp(1j * K * distance) - distance / rho * np.exp(1j * K * rho)
     assert abs(field - exact) < CLOSED_FORM_TOLERANCE
@@ -206,7 +207,7 @@ def test_point_source_on_the_axis_behind_a_disc(fresnel_number):
     rho = np.hypot(distance, radius)
     near, far = source_distance + distance, np.hypot(source_distance, radius) + rho
     exact = np.exp(1j * K * near) / near - distance / rho * np.exp(1j * K * far) / far
-    gradient, _ = slopes(radius, source, target)
+    gradient = K * radius * (1 / source_distance + 1 / distance)
     points, weights = opening_nodes(Circle(radius), FLAT, gradient, 1e-8, tilt=0.0)
     field = diffracted(points, weights, spherical(points, source), target)[0]
     assert abs(field - exact) * near < CLOSED_FORM_TOLERANCE

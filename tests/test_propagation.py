@@ -83,7 +83,8 @@ def test_field_on_the_axis_of_a_circular_opening_is_the_closed_form():
     node, weight = np.polynomial.legendre.leggauss(60)
     r = radius * (node + 1) / 2
     angle = 2 * np.pi * np.arange(32) / 32
-    places = np.stack([np.outer(r, np.cos(angle)), np.outer(r, np.sin(angle)), np.zeros((60, 32))], axis=-1).reshape(-1, 3)
+    x, y = np.outer(r, np.cos(angle)), np.outer(r, np.sin(angle))
+    places = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
     area = np.repeat(weight * radius / 2 * r * 2 * np.pi / 32, 32).astype(complex)
     axis_point = PlanePoints(np.array([0, 0, distance]), np.eye(3)[0], np.eye(3)[1], np.zeros(1), np.zeros(1))
     path = RayleighSommerfeld(np.array([0.0, 0.0, 1.0]), WAVELENGTH)

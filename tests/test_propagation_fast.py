@@ -9,7 +9,13 @@ import pytest
 from speckle_mi.geometry import PlaneGrid, PlanePoints
 from speckle_mi.propagation import FreeSpace, RayleighSommerfeld, coherent_sum
 from speckle_mi.propagation.bandlimited import extreme_sources, node_grid
-from speckle_mi.propagation.chebyshev import TensorSeries, chebyshev_nodes, interpolation_matrix, tensor_coefficients, tensor_nodes
+from speckle_mi.propagation.chebyshev import (
+    TensorSeries,
+    chebyshev_nodes,
+    interpolation_matrix,
+    tensor_coefficients,
+    tensor_nodes,
+)
 from speckle_mi.propagation.interpolated import interpolated
 from speckle_mi.propagation.lowrank import expand, low_rank_sum
 from speckle_mi.propagation.reference import reference_sum

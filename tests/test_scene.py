@@ -154,21 +154,28 @@ def test_a_part_that_is_there_twice_is_named(mitsuba, part):
 
 
 UNKNOWN = {
-    "cylinder": '<shape type="cylinder" id="odd"><transform name="to_world"><translate z="30"/></transform></shape>',
-    "a lamp": '<emitter type="point" id="odd"/>',
-    "a second camera": '<sensor type="perspective" id="odd"><float name="fov" value="30"/></sensor>',
+    "a glass rod": '<shape type="cylinder" id="odd"><transform name="to_world"><translate z="30"/></transform>'
+    '<bsdf type="dielectric"/></shape>',
+    "a bent mirror": '<shape type="cylinder" id="odd"><transform name="to_world"><translate z="30"/></transform>'
+    '<bsdf type="conductor"/></shape>',
+    "frosted glass": '<shape type="sphere" id="odd"><transform name="to_world"><translate z="30"/></transform>'
+    '<bsdf type="roughdielectric"/></shape>',
     "a medium's boundary": '<shape type="sphere" id="odd"><transform name="to_world"><translate z="30"/></transform>'
     '<medium name="interior" type="homogeneous"/><bsdf type="null"/></shape>',
+    "a lamp": '<emitter type="point" id="odd"/>',
+    "a glowing shape": '<shape type="sphere" id="odd"><transform name="to_world"><translate x="90"/></transform>'
+    '<emitter type="area" id="odd"/></shape>',
 }
+CAMERA_TOO = '<sensor type="perspective" id="odd"><float name="fov" value="30"/></sensor>'
 
 
-@pytest.mark.parametrize("kind", ["cylinder", "a lamp", "a medium's boundary"])
+@pytest.mark.parametrize("kind", UNKNOWN)
 def test_what_cannot_be_taken_into_account_is_refused_by_name(mitsuba, kind):
     assert "odd" in refusal(mitsuba, scene_with(second=UNKNOWN[kind]))
 
 
 def test_another_sensor_beside_the_detector_is_left_alone(mitsuba):
-    assembly = assembly_from_scene(mitsuba.load_string(scene_with(second=UNKNOWN["a second camera"])))
+    assembly = assembly_from_scene(mitsuba.load_string(scene_with(second=CAMERA_TOO)))
     assert assembly.detector.shape == (16, 24)
 
 

@@ -1,8 +1,8 @@
 """The field on few nodes: without its common phase it is band-limited by the extent of the sources.
 
-E(D) e^{-ikV(P0, D)} contains along u no spatial frequency beyond max |d/du [V(P, D) - V(P0, D)]|/lambda over the sources P.
-It is sampled on a tensor Chebyshev grid of that bandwidth, interpolated to the pixels by two real matrix products, and
-given its common phase back. The bandwidth is measured on the paths themselves, not on a paraxial estimate.
+E(D) e^{-ikV(P0, D)} contains along u no spatial frequency beyond max |d/du [V(P, D) - V(P0, D)]|/lambda over the
+sources P. It is sampled on a tensor Chebyshev grid of that bandwidth, interpolated to the pixels by two real matrix
+products, and given its common phase back. The bandwidth is measured on the paths themselves, not estimated paraxially.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from scipy.special import jv
 
 from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import chebyshev_nodes, interpolation_matrix
-from .direct import SINGLE_PRECISION, WRITE, backend, phasor, supports
+from .device import WRITE, backend, phasor
+from .direct import SINGLE_PRECISION, supports
 from .paths import Path
 from .plane import Rectangle
 from .sources import SourceBox, for_chunks
@@ -55,8 +56,8 @@ def nodes_for(half_turns: float, tolerance: float) -> int:
 def extreme_sources(path: Path, sources: np.ndarray, box: SourceBox, target: PlaneGrid | PlanePoints) -> np.ndarray:
     """The box centre and the sources that bound the bandwidth, (1 + q, 3) [mm].
 
-    The slope of the path along u or v is nearly linear in the source, with a direction in the box that is measured at the
-    middle and the corners of the target; the sources farthest along these directions bound it, all others lie between.
+    The slope of the path along u or v is nearly linear in the source, with a direction in the box that is measured at
+    the middle and the corners of the target; the sources farthest along these directions bound it.
     """
     rectangle = Rectangle.around(target)
     faces = box.to_world(np.vstack([np.eye(3), -np.eye(3)]))
@@ -67,9 +68,8 @@ def extreme_sources(path: Path, sources: np.ndarray, box: SourceBox, target: Pla
             for shift in (-0.02, 0.02):
                 part = np.array([fraction_a, fraction_b])
                 part[axis] += shift
-                ends.append([side[0] + p * (side[1] - side[0]) for side, p in zip((rectangle.a, rectangle.b), part)])
-            a, b = np.array(ends).T
-            length = path(faces, PlanePoints(target.origin, target.u, target.v, a, b).points())[0]
+                ends.append(2 * part - 1)
+            length = path(faces, rectangle.points(target, np.array(ends)).points())[0]
             slope = length[:, 1] - length[:, 0]
             directions.append(slope[:3] - slope[3:])
     directions = np.array(directions)
@@ -83,12 +83,9 @@ def extreme_sources(path: Path, sources: np.ndarray, box: SourceBox, target: Pla
         return chunk.start + np.concatenate([along.argmax(axis=1), along.argmin(axis=1)])
 
     found = np.unique(np.concatenate(for_chunks(extremes, len(sources))))
-    return np.vstack([box.centre, sources[found] if len(found) < 64 else sources[found[_hull(box, sources[found], directions)]]])
-
-
-def _hull(box: SourceBox, sources: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    along = directions @ box.to_local(sources).T
-    return np.unique(np.concatenate([along.argmax(axis=1), along.argmin(axis=1)]))
+    # Each chunk has its extremes; those of them all are among these.
+    along = directions @ box.to_local(sources[found]).T
+    return np.vstack([box.centre, sources[found[np.unique([along.argmax(axis=1), along.argmin(axis=1)])]]])
 
 
 def local_bandwidth(
@@ -101,10 +98,12 @@ def local_bandwidth(
     places = PlanePoints(target.origin, target.u, target.v, grid_a.ravel(), grid_b.ravel()).points()
     length = path(box, places)[0].reshape(len(box), PROBES, PROBES)
     turns = (length[1:] - length[0]) / wavelength
-    return tuple(
-        BANDWIDTH_MARGIN * float(np.abs(np.diff(turns, axis=axis)).max(initial=0.0)) / step if (step := side[1] - side[0]) > 0 else 0.0
-        for side, axis in ((a, 2), (b, 1))
-    )
+
+    def steepest(side: np.ndarray, axis: int) -> float:
+        step = side[1] - side[0]
+        return float(np.abs(np.diff(turns, axis=axis)).max(initial=0.0)) / step if step > 0 else 0.0
+
+    return BANDWIDTH_MARGIN * steepest(a, 2), BANDWIDTH_MARGIN * steepest(b, 1)
 
 
 @dataclass(frozen=True)
@@ -194,7 +193,8 @@ def _interpolate_grid(
     for row in range(0, rows, step):
         chunk = slice(row, min(row + step, rows))
         smooth = (along_v[chunk] @ flat).reshape(-1, nodes.count[0]) @ along_u.T
-        part = _with_common_phase(smooth, None if turns is None else turns(chunk), reference, grid, row, wavelength, scale)
+        given = None if turns is None else turns(chunk)
+        part = _with_common_phase(smooth, given, reference, grid, row, wavelength, scale)
         if field is None:
             return part
         field[chunk] = part

@@ -82,7 +82,7 @@ class TensorSeries:
 
     @classmethod
     def pruned(cls, coefficients: np.ndarray, tolerance: float) -> TensorSeries:
-        """From real coefficients (*orders, k), dropping the smallest terms up to ``tolerance`` of the norm (root of squares)."""
+        """From real coefficients (*orders, k), without the smallest terms: together ``tolerance`` of the L2 norm."""
         orders, functions = coefficients.shape[:-1], coefficients.shape[-1]
         flat = coefficients.reshape(-1, functions)
         size = np.linalg.norm(flat, axis=1)

@@ -14,11 +14,13 @@ import numpy as np
 
 from ..geometry import PlaneGrid, PlanePoints
 from .bandlimited import NodeGrid, band_limited_sum, extreme_sources, node_grid
-from .direct import SINGLE_PRECISION, active_variant, direct_sum, supports
+from .device import active_variant
+from .direct import SINGLE_PRECISION, direct_sum, supports
 from .interpolated import interpolated
 from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
 from .machine import Costs, measured_costs
 from .paths import Path
+from .plane import points_at
 from .reference import reference_sum, sample_of
 from .sources import SourceBox
 
@@ -39,6 +41,9 @@ TYPICAL_RANK = 6
 MOST_PARTS = 256
 """Parts of a spot beyond which the search for expansions costs more than it saves."""
 
+POINTS_AT_ONCE = 1 << 20
+"""Points of the target for which an expansion is evaluated at once."""
+
 SAMPLED_PAIRS = 10_000_000
 """Pairs spent on measuring the error, as far as between 8 and 64 sampled points allow."""
 
@@ -47,8 +52,8 @@ SAMPLED_PAIRS = 10_000_000
 class SumResult:
     """Outcome of a coherent sum.
 
-    field: complex128 of the target's shape; plan: what was chosen and why, one line; numerical_error: relative L2 error of the
-    field, measured on a sample of points against the exact float64 sum.
+    field: complex128 of the target's shape; plan: what was chosen and why, one line; numerical_error: relative L2 error
+    of the field, measured on a sample of points against the exact sum.
     """
 
     field: np.ndarray
@@ -76,14 +81,18 @@ def coherent_sum(
 ) -> SumResult:
     """E_m = sum_j c_j A(P_j, D_m) e^{+ikV(P_j, D_m)} on all points of the target.
 
-    sources: (n, 3) [mm]; weights c: (n,) complex; wavelength [mm]. method: ``direct`` takes every pair (for a path without closed
-    form: the expansion at its tightest), ``fast`` the cheapest of the others, ``auto`` the cheapest of all. tolerance: relative
-    L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; a method that misses it is replaced.
-    Raises ValueError for arrays of the wrong shape, values that are not finite, and parameters out of range.
+    sources: (n, 3) [mm]; weights c: (n,) complex; wavelength [mm]. method: ``direct`` takes every pair (for a path
+    without closed form: the expansion at its tightest), ``fast`` the cheapest of the others, ``auto`` the cheapest of
+    all. tolerance: relative L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; what misses it is replaced.
+    Raises ValueError for arrays of the wrong shape, values that are not finite, parameters out of range, and a source
+    that lies on a point of the target.
     """
     sources, weights = _checked(sources, weights, target, wavelength, method, tolerance)
-    if not weights.any():
+    lit = weights != 0
+    if not lit.any():
         return SumResult(np.zeros(_shape(target), dtype=np.complex128), "dark: no source has any weight", 0.0)
+    if not lit.all():
+        sources, weights = sources[lit], weights[lit]
     if method == "direct":
         tolerance = SINGLE_PRECISION if supports(path) else TIGHTEST
     task = Task(path, sources, weights, target, wavelength, tolerance).with_cheap_path()
@@ -145,7 +154,8 @@ class Task:
                 found.append(replace(self.every_pair(), seconds=all_pairs))
             if few_nodes:
                 seconds = slow_down * count * self.nodes.size * costs.point_pair + interpolation
-                found.append(Candidate(f"every source on {self._node_text}", seconds, lambda: self._on_nodes(self._exact)))
+                name = f"every source on {self._node_text}"
+                found.append(Candidate(name, seconds, lambda: self._on_nodes(self._exact)))
         best = min([all_pairs, *(candidate.seconds for candidate in found)])
         least = EXPANSION_SECONDS + 2 * count * costs.nufft_point
         if best > least:
@@ -207,22 +217,22 @@ class Task:
     def result(self, candidate: Candidate, why: str) -> SumResult:
         """Does the sum and measures its relative L2 error on sampled points, against the exact float64 sum."""
         field = candidate.field()
+        flat = field.reshape(-1)
+        power = flat.real**2 + flat.imag**2
+        mean_square = float(power.mean())
+        if not np.isfinite(mean_square):
+            raise ValueError("a source lies on a point of the target: the field is infinite there, move one of them")
         count = int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64))
-        pick, places = sample_of(self.target, count)
+        pick, share = sample_of(power, count)
+        places = points_at(self.target, pick)
         if supports(self.path):
-            # A tenth of the tolerance asked for, and never worse than 1e-6: enough to judge by.
             exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, self.tolerance / 10)
         else:
             exact = self._reference(places)
-        flat = field.reshape(-1)
         # The scale is the whole field's: a few points of a speckle pattern do not know it.
-        mean_square = float(np.vdot(flat, flat).real) / flat.size
-        error = float(np.sqrt(np.mean(np.abs(flat[pick] - exact) ** 2) / mean_square)) if mean_square > 0 else np.inf
+        scale = mean_square or float(np.mean(np.abs(exact) ** 2)) or 1.0
+        error = float(np.sqrt(np.mean(np.abs(flat[pick] - exact) ** 2 / share) / scale))
         return SumResult(field, f"{candidate.name} ({why})", error)
-
-
-POINTS_AT_ONCE = 1 << 20
-"""Points of the target for which an expansion is evaluated at once."""
 
 
 def _in_parts(evaluate: Callable[[PlanePoints], np.ndarray], target: PlaneGrid | PlanePoints) -> np.ndarray:
@@ -230,12 +240,7 @@ def _in_parts(evaluate: Callable[[PlanePoints], np.ndarray], target: PlaneGrid |
     field = np.empty(target.size, dtype=np.complex128)
     for first in range(0, target.size, POINTS_AT_ONCE):
         index = np.arange(first, min(first + POINTS_AT_ONCE, target.size))
-        if isinstance(target, PlaneGrid):
-            row, column = np.divmod(index, target.shape[1])
-            a, b = column * target.pitch, row * target.pitch
-        else:
-            a, b = target.a[index], target.b[index]
-        field[index] = evaluate(PlanePoints(target.origin, target.u, target.v, a, b))
+        field[index] = evaluate(points_at(target, index))
     return field.reshape(_shape(target))
 
 

@@ -7,9 +7,10 @@ path of 0.1 m would carry 0.1 rad of error. Sums are float32 over blocks of 32 s
 Two kernels:
 
 - *points*: any points of the plane. One float64 path for each pair.
-- *runs*: a regular grid. A lane owns a run of pixels along a row. One float64 path for each source and run centre; along the run the
-  logarithm of the summand is a cubic in the pixel index, and a cubic's exponential needs three complex products a pixel
-  (forward differences). The remainder is bounded beforehand; where the bound fails the shorter run or *points* is taken.
+- *runs*: a regular grid. A lane owns a run of pixels along a row. One float64 path for each source and run centre;
+  along the run the logarithm of the summand is a cubic in the pixel index, and a cubic's exponential needs three
+  complex products a pixel (forward differences). The remainder is bounded beforehand; where the bound fails the
+  shorter run or *points* is taken.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import drjit as dr
 import numpy as np
 
 from ..geometry import PlaneGrid, PlanePoints
+from .device import COSINE, SINE, WRITE, backend, inverse_root, multiply, phasor, sine_cosine
 from .paths import FreeSpace, RayleighSommerfeld
 from .sources import for_chunks
 
@@ -45,38 +47,9 @@ LANES_AT_ONCE = 1 << 19
 MINIMUM_LANES = 1 << 10
 """With fewer lanes of targets than this the sources are split over lanes, so that all cores have work."""
 
-WRITE = dr.ReduceMode.NoConflicts
-"""Every pixel is written once. Saying so lets Dr.Jit fuse the writes of a run into one kernel instead of one each."""
-
-# Chebyshev fits on |y| <= 1/4 in powers of y^2 of sin(2 pi y)/y and cos(2 pi y): float32 to 7e-9 and 2e-10, float64 to 3e-16.
-SINE = (6.283185280261414, -41.34168066806317, 81.60248074286561, -76.58128455932848, 39.76072207550286)
-COSINE = (0.9999999997799042, -19.739208548315304, 64.93934655290143, -85.45356819524321, 60.14395233716958,
-          -24.981836135847793)  # fmt: skip
-SINE_64 = (6.283185307179586, -41.341702240399755, 81.60524927607362, -76.70585975282509, 42.05869392543926,
-           -15.094641676478926, 3.8199281010531383, -0.7177338593450135, 0.10089722381061697)  # fmt: skip
-COSINE_64 = (1.0, -19.739208802178705, 64.93939402266396, -85.45681720598118, 60.24464131319568,
-             -26.426254067893844, 7.90346251484126, -1.7132186347396439, 0.27194674558121545)  # fmt: skip
-
-
 def supports(path: object) -> bool:
     """Whether the path has a closed form that the kernels know."""
     return isinstance(path, (FreeSpace, RayleighSommerfeld))
-
-
-def active_variant() -> str:
-    """Name of the active Mitsuba variant, empty before one is set."""
-    import mitsuba
-
-    return mitsuba.variant() or ""
-
-
-def backend() -> ModuleType:
-    """The Dr.Jit backend of the active Mitsuba variant: ``drjit.cuda`` for CUDA variants, else ``drjit.llvm``."""
-    if active_variant().startswith("cuda"):
-        import drjit.cuda as module
-    else:
-        import drjit.llvm as module
-    return module
 
 
 @dataclass(frozen=True)
@@ -126,41 +99,6 @@ def run_remainder(distance: float, half_run: float, wavelength: float, obliquity
     return (phase + amplitude) / 3 / (1 - ratio)
 
 
-def _sine_cosine(y, sine_powers: tuple, cosine_powers: tuple):
-    """sin and cos of 2 pi y for |y| <= 1/4."""
-    z = y * y
-    sine, cosine = type(y)(sine_powers[-1]), type(y)(cosine_powers[-1])
-    for power in sine_powers[-2::-1]:
-        sine = dr.fma(sine, z, power)
-    for power in cosine_powers[-2::-1]:
-        cosine = dr.fma(cosine, z, power)
-    return sine * y, cosine
-
-
-def phasor(turns, real):
-    """cos and sin of 2 pi ``turns`` (float64 of any size), in ``real``, a Dr.Jit float type."""
-    x = real(turns - dr.round(turns))
-    # |x| <= 1/2: cos(2 pi x) = sin(2 pi y), sin(2 pi x) = sign(x) cos(2 pi y), y = 1/4 - |x|.
-    powers = (SINE_64, COSINE_64) if dr.type_v(real) == dr.VarType.Float64 else (SINE, COSINE)
-    sine, cosine = _sine_cosine(0.25 - dr.abs(x), *powers)
-    return sine, dr.copysign(cosine, x)
-
-
-def _inverse_root(x, float32):
-    """1/sqrt(x) in float64 from a float32 start: half the time of a float64 root and division.
-
-    One step of third order: an error of 1e-6 becomes 1e-18. x [wavelengths^2] stays within float32's range.
-    """
-    start = type(x)(dr.rsqrt(float32(x)))
-    miss = dr.fma(-x * start, start, 1.0)
-    return dr.fma(start * miss, dr.fma(miss, 0.375, 0.5), start)
-
-
-def _multiply(a, b):
-    """Complex product of (re, im) pairs."""
-    return dr.fma(a[0], b[0], -(a[1] * b[1])), dr.fma(a[0], b[1], a[1] * b[0])
-
-
 @dataclass(frozen=True)
 class _Sources:
     """Sources on the device, in the target's coordinates [wavelengths], padded with zero weights to whole blocks."""
@@ -187,10 +125,14 @@ class _Sources:
         inside = dr.minimum(index, count - 1)  # padding repeats the last place, with zero weight
         world = dr.gather(ad.Array3f64, ad.Float64(np.ascontiguousarray(points).ravel()), inside)
         axes = np.array([target.u, target.v, target.normal]) / unit
-        x, y, z = (
-            sum((dr.opaque(ad.Float64, value) * part for value, part in zip(axis, world, strict=True)), start=shift)
-            for axis, shift in zip(axes, [dr.opaque(ad.Float64, value) for value in -(axes @ target.origin)], strict=True)
-        )
+
+        def along(axis: np.ndarray):
+            coordinate = dr.opaque(ad.Float64, -float(axis @ target.origin))
+            for value, part in zip(axis, world, strict=True):
+                coordinate = dr.fma(dr.opaque(ad.Float64, float(value)), part, coordinate)
+            return coordinate
+
+        x, y, z = (along(axis) for axis in axes)
         place = dr.empty(ad.Float64, 4 * blocks * BLOCK)
         dr.scatter(place, ad.Array4f64(x, y, z * z, z), index, mode=WRITE)
         padded = np.zeros(blocks * BLOCK, dtype=np.complex128 if double else np.complex64)
@@ -239,16 +181,16 @@ def _add_points(ad: ModuleType, sources: _Sources, a: list, b: list):
         for i in range(len(a)):
             dx, dy = a[i] - x, b[i] - y
             squared = dr.fma(dx, dx, dr.fma(dy, dy, z_squared))
-            inverse = _inverse_root(squared, ad.Float32)
+            inverse = inverse_root(squared, ad.Float32)
             r = squared * inverse
-            term = _multiply(weight, phasor(r, real))
+            term = multiply(weight, phasor(r, real))
             if sources.normal is None:
                 amplitude = real(inverse)
             else:
                 slope = dr.fma(sources.normal[0], dx, dr.fma(sources.normal[1], dy, -sources.normal[2] * z))
                 amplitude = real(slope * inverse * inverse)
                 near = real(inverse) * (1 / (2 * np.pi))
-                term = _multiply(term, (1.0, near))
+                term = multiply(term, (1.0, near))
             sums[2 * i] = dr.fma(amplitude, term[0], sums[2 * i])
             sums[2 * i + 1] = dr.fma(amplitude, term[1], sums[2 * i + 1])
         return sums
@@ -260,15 +202,16 @@ def _add_run(ad: ModuleType, sources: _Sources, a, b, pitch, run: int):
     """Adds one source to the ``run`` pixels around (a, b) [wavelengths], pixel i at a + (i - run/2) pitch.
 
     With t = (D - P).u/r, e = s/r: r(s) = r [1 + t e + (1 - t^2) e^2/2 - t (1 - t^2) e^3/2 + O(e^4)] and
-    ln r(s) = ln r + t e + (1/2 - t^2) e^2 + (4 t^3/3 - t) e^3 + O(e^4). For F_i = f0 + f1 i + f2 i^2 + f3 i^3 the products
-    z' = z w, w' = w q, q' = q p with z = e^F_0, w = e^(F_1 - F_0), q = e^(2 f2 + 6 f3), p = e^(6 f3) step through e^F_i.
+    ln r(s) = ln r + t e + (1/2 - t^2) e^2 + (4 t^3/3 - t) e^3 + O(e^4). For F_i = f0 + f1 i + f2 i^2 + f3 i^3 the
+    products z' = z w, w' = w q, q' = q p with z = e^F_0, w = e^(F_1 - F_0), q = e^(2 f2 + 6 f3), p = e^(6 f3) step
+    through e^F_i.
     """
     half = run // 2
 
     def exponential_less_one(turns, logarithm):
-        # e^x - 1 for x below 1e-2, and (cos, sin) - 1 by the half angle: nothing cancels, so that float32 steps may be repeated.
+        # e^x - 1 for x below 1e-2, and (cos, sin) - 1 by the half angle: nothing cancels and steps may be repeated.
         growth = dr.fma(logarithm * logarithm, 0.5, logarithm)
-        sine, cosine = _sine_cosine(ad.Float32(turns) * 0.5, SINE, COSINE)
+        sine, cosine = sine_cosine(ad.Float32(turns) * 0.5, SINE, COSINE)
         re, im = -2 * sine * sine, 2 * sine * cosine
         return dr.fma(re, growth, re + growth), dr.fma(im, growth, im)
 
@@ -284,7 +227,7 @@ def _add_run(ad: ModuleType, sources: _Sources, a, b, pitch, run: int):
         sums = list(partial)
         dx, dy = a - x, b - y
         squared = dr.fma(dx, dx, dr.fma(dy, dy, z_squared))
-        inverse = _inverse_root(squared, ad.Float32)
+        inverse = inverse_root(squared, ad.Float32)
         t = dx * inverse
         e = pitch * inverse
         across = dr.fma(-t, t, 1.0)
@@ -298,13 +241,13 @@ def _add_run(ad: ModuleType, sources: _Sources, a, b, pitch, run: int):
         l2 = -powers * e32 * e32 * dr.fma(-t32, t32, 0.5)
         l3 = -powers * e32 * e32 * e32 * t32 * dr.fma(t32, t32 * (4 / 3), -1.0)
         if sources.normal is None:
-            centre = _multiply(weight, phasor(squared * inverse, ad.Float32))
+            centre = multiply(weight, phasor(squared * inverse, ad.Float32))
             amplitude = ad.Float32(inverse)
         else:
             slope = dr.fma(sources.normal[0], dx, dr.fma(sources.normal[1], dy, -sources.normal[2] * z))
             amplitude = ad.Float32(slope * inverse * inverse)
             near = ad.Float32(inverse) * (1 / (2 * np.pi))
-            centre = _multiply(_multiply(weight, phasor(squared * inverse, ad.Float32)), (1.0, near))
+            centre = multiply(multiply(weight, phasor(squared * inverse, ad.Float32)), (1.0, near))
             g = ad.Float32(sources.normal[0] * pitch / slope)
             l1, l2, l3 = l1 + g, l2 - g * g * 0.5, l3 + g * g * g * (1 / 3)
             # The near-field factor 1 + i/(kr) turns along the run by -e t/(kr) to first order.
@@ -315,8 +258,9 @@ def _add_run(ad: ModuleType, sources: _Sources, a, b, pitch, run: int):
             step_turns = direction * f1 + f2 + odd
             cosine, sine = phasor(step_turns, ad.Float32)
             # Rounding leaves a modulus of 1 +- 1e-7, which half a run of products would raise to the eighth power.
-            to_one = dr.fma(dr.fma(cosine, cosine, dr.fma(sine, sine, -1.0)), -0.5, direction * l1 + l2 + odd_log + 0.5 * l1 * l1)
-            step = grow((cosine, sine), (to_one, 0.0))
+            excess = dr.fma(cosine, cosine, dr.fma(sine, sine, -1.0))
+            growth = direction * l1 + l2 + odd_log + 0.5 * l1 * l1
+            step = grow((cosine, sine), (dr.fma(excess, -0.5, growth), 0.0))
             change = exponential_less_one(2 * f2 + 6 * odd, 2 * l2 + 6 * odd_log)
             drift = exponential_less_one(6 * odd, 6 * odd_log)
             value = centre
@@ -324,10 +268,10 @@ def _add_run(ad: ModuleType, sources: _Sources, a, b, pitch, run: int):
                 if i > 0 or direction == 1:
                     k = 2 * (half + direction * i)
                     sums[k], sums[k + 1] = sums[k] + value[0], sums[k + 1] + value[1]
-                value = _multiply(value, step)
+                value = multiply(value, step)
                 step = grow(step, change)
                 # (1 + change)(1 + drift) - 1
-                product = _multiply(change, drift)
+                product = multiply(change, drift)
                 change = change[0] + drift[0] + product[0], change[1] + drift[1] + product[1]
         return sums
 
@@ -402,7 +346,8 @@ def _slices(ad: ModuleType, lanes: int, blocks: int):
     lane_count, per_slice = dr.opaque(ad.UInt32, lanes), dr.opaque(ad.UInt32, -(-blocks // slices))
     number = index // lane_count
     first = number * per_slice
-    return slices, number, index - number * lane_count, first, dr.minimum(first + per_slice, dr.opaque(ad.UInt32, blocks))
+    end = dr.minimum(first + per_slice, dr.opaque(ad.UInt32, blocks))
+    return slices, number, index - number * lane_count, first, end
 
 
 def _points_field(ad: ModuleType, sources: _Sources, a: np.ndarray, b: np.ndarray, factor: float) -> np.ndarray:

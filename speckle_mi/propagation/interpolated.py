@@ -52,7 +52,7 @@ class InterpolatedPath:
 def interpolated(
     path: Path, box: SourceBox, target: PlaneGrid | PlanePoints, wavelength: float, tolerance: float
 ) -> InterpolatedPath | None:
-    """Series of the path to ``tolerance`` in phase [rad] and relative amplitude, or None where it takes too many nodes."""
+    """Series of the path to ``tolerance`` in phase [rad] and relative amplitude; None where it takes too many nodes."""
     rectangle = Rectangle.around(target)
     sides = (rectangle.a, rectangle.b)
     orders = [order if half > 0 else 1 for order, half in zip(FIRST_ORDERS, box.half, strict=False)]
@@ -97,4 +97,5 @@ def _agrees(found: InterpolatedPath, path: Path, wavelength: float, tolerance: f
     length, amplitude = path(sources, places)
     near_length, near_amplitude = found(sources, places)
     phase = 2 * np.pi / wavelength * np.abs(length - near_length).max()
-    return bool(phase < 10 * tolerance and np.abs(amplitude - near_amplitude).max() < 10 * tolerance * np.abs(amplitude).max())
+    relative = np.abs(amplitude - near_amplitude).max() / np.abs(amplitude).max()
+    return bool(max(phase, relative) < 10 * tolerance)

@@ -4,13 +4,14 @@ Around a source P0 in the middle of the source box and a point D0 in the middle 
 
     V(P, D) = V(P0, D) + [V(P, D0) - V(P0, D0)] + W(P, D),    W(P, D) = q(D) + s(D) . x(P) + rest,
 
-x in [-1, 1]^d the place in the box. The first belongs to the target alone, the second to the source alone. The slopes s make a
-type-3 NUFFT (its exponent is linear in x). What is left, A(P, D) e^{ik rest}, varies slowly with both and has a low rank:
+x in [-1, 1]^d the place in the box. The first belongs to the target alone, the second to the source alone. The slopes s
+make a type-3 NUFFT (its exponent is linear in x). What is left, A(P, D) e^{ik rest}, varies slowly with both and has a
+low rank:
 
     E(D) = e^{ik[V(P0, D) + q(D)]} sum_t b_t(D) sum_j [c_j a_t(P_j) e^{ik[V(P_j, D0) - V(P0, D0)]}] e^{iks(D) . x_j}.
 
-It is sampled on Chebyshev nodes of box and target only, so that any smooth path will do, traced lenses included. The NUFFT is FINUFFT
-(Barnett, Magland & af Klinteberg, SIAM J. Sci. Comput. 41 (2019), doi:10.1137/18M120885X).
+It is sampled on Chebyshev nodes of box and target only, so that any smooth path will do, traced lenses included. The
+NUFFT is FINUFFT (Barnett, Magland & af Klinteberg, SIAM J. Sci. Comput. 41 (2019), doi:10.1137/18M120885X).
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ SMALLEST_PIECE = 1 << 13
 class LowRank:
     """The expansion for one geometry; see the module's docstring.
 
-    slopes, constant: series on the target [turns]; source_terms, target_terms: real and imaginary parts of a_t, b_t
-    side by side, 2 rank functions; linear: which box dimensions the NUFFT takes; reach [turns]: largest |slope|.
+    middle: D0, (1, 3) [mm]; source_series: real parts of all a_t, then imaginary parts; target_series: the same of b_t,
+    then slopes and q [turns]; linear: which box dimensions the NUFFT takes; reach [turns]: largest |slope| along each.
     """
 
     path: Path
@@ -122,10 +123,25 @@ def expand(
             break
         for i in failing:
             orders[i] = int(np.ceil(orders[i] * 1.4)) + 1
-    return _compress(
-        path, box, rectangle, wavelength, middle, sources, weights, kernel, slopes, constant, source_orders, target_orders,
-        linear, tolerance,
-    )  # fmt: skip
+    found = _compress(kernel, _sampled_rows(kernel, box, source_orders, sources, weights), tolerance)
+    if found is None:
+        return None
+    left, right = found
+    source_values = np.concatenate([left.real, left.imag], axis=1)
+    target_values = np.concatenate([right.real, right.imag, slopes, constant[None]]).T
+    return LowRank(
+        path=path,
+        box=box,
+        rectangle=rectangle,
+        wavelength=wavelength,
+        middle=middle,
+        target_series=TensorSeries.pruned(tensor_coefficients(target_values, target_orders), 0.0),
+        source_series=TensorSeries.pruned(tensor_coefficients(source_values, source_orders), tolerance / 4),
+        rank=len(right),
+        linear=tuple(linear),
+        reach=np.abs(slopes).max(axis=1, initial=0.0),
+        tolerance=tolerance,
+    )
 
 
 @dataclass(frozen=True)
@@ -146,7 +162,7 @@ def expand_in_parts(
     largest_table: int,
     most_parts: int,
 ) -> list[Part] | None:
-    """Expansions of all sources, or of halves, quarters, ... of a spot too large for one; None beyond ``most_parts``."""
+    """Expansions of all sources, or of halves, quarters, ... of too large a spot; None beyond ``most_parts``."""
     waiting, parts = [np.arange(len(sources))], []
     while waiting:
         if len(waiting) + len(parts) > most_parts:
@@ -175,7 +191,16 @@ def _absolute_tails(values: np.ndarray, orders: tuple[int, ...]) -> np.ndarray:
     return np.array(tails)
 
 
-def _mixed_path(path, box, target, rectangle, nodes, places, middle, wavelength):
+def _mixed_path(
+    path: Path,
+    box: SourceBox,
+    target: PlaneGrid | PlanePoints,
+    rectangle: Rectangle,
+    nodes: np.ndarray,
+    places: np.ndarray,
+    middle: np.ndarray,
+    wavelength: float,
+) -> tuple[np.ndarray, np.ndarray]:
     """W/lambda and A on source nodes x target nodes (n, m)."""
     points = rectangle.points(target, places).points()
     length, amplitude = path(np.vstack([box.centre, box.to_world(nodes)]), np.vstack([middle, points]))
@@ -196,51 +221,46 @@ def _slopes(turns: np.ndarray, orders: tuple[int, ...]) -> tuple[list[int], np.n
             pick[axis] = 1
             candidates.append((axis, coefficients[tuple(pick)]))
     candidates.sort(key=lambda item: -np.abs(item[1]).max())
-    chosen = sorted(
-        (item for rank, item in enumerate(candidates) if rank < 2 or np.abs(item[1]).max() > 0.15), key=lambda item: item[0]
-    )
+    chosen = [item for rank, item in enumerate(candidates) if rank < 2 or np.abs(item[1]).max() > 0.15]
+    chosen.sort(key=lambda item: item[0])
     return [axis for axis, _ in chosen], np.array([slope for _, slope in chosen]).reshape(len(chosen), turns.shape[1])
 
 
-def _compress(
-    path, box, rectangle, wavelength, middle, sources, weights, kernel, slopes, constant, source_orders, target_orders, linear,
-    tolerance,
-) -> LowRank | None:  # fmt: skip
-    """Rank, singular vectors and their series. The rank is decided on sources drawn with their own weights."""
+def _sampled_rows(
+    kernel: np.ndarray, box: SourceBox, orders: tuple[int, ...], sources: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """Rows of the kernel (nodes, m) at randomly drawn sources, times the modulus of their weights."""
     pick = np.random.default_rng(SAMPLE_SEED).integers(len(sources), size=SAMPLED_SOURCES)
     x = np.clip(box.to_local(sources[pick]), -1, 1)
-    matrices = [interpolation_matrix(order, x[:, axis]) for axis, order in enumerate(source_orders)]
-    sample = kernel.reshape(*source_orders, -1)
-    sample = np.tensordot(matrices[0], sample, axes=1)
+    matrices = [interpolation_matrix(order, x[:, axis]) for axis, order in enumerate(orders)]
+    rows = np.tensordot(matrices[0], kernel.reshape(orders[0], -1), axes=1)
     for matrix in matrices[1:]:
-        sample = np.matmul(matrix[:, None, :], sample.reshape(len(pick), matrix.shape[1], -1))
-    sample = sample.reshape(len(pick), -1) * np.abs(weights[pick])[:, None]
+        rows = np.matmul(matrix[:, None, :], rows.reshape(len(pick), matrix.shape[1], -1))
+    return rows.reshape(len(pick), -1) * np.abs(weights[pick])[:, None]
+
+
+def _compress(kernel: np.ndarray, rows: np.ndarray, tolerance: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """kernel (nodes, m) = left (nodes, rank) @ right (rank, m), rows of right orthonormal; None beyond LARGEST_RANK.
+
+    The rank is decided on ``rows``, the kernel at sources with their own weights.
+    """
     # The nodes join with a weight of a tenth of the tolerance: nothing in the box is left out altogether.
-    floor = 0.1 * tolerance * np.linalg.norm(sample) / (np.linalg.norm(kernel) or 1.0)
-    gram = sample.conj().T @ sample + floor**2 * (kernel.conj().T @ kernel)
+    floor = 0.1 * tolerance * np.linalg.norm(rows) / (np.linalg.norm(kernel) or 1.0)
+    gram = rows.conj().T @ rows + floor**2 * (kernel.conj().T @ kernel)
     values, vectors = np.linalg.eigh(gram)
     left_out = np.sqrt(np.cumsum(np.maximum(values, 0.0)))
-    rank = int(np.count_nonzero(left_out > RANK_SHARE * tolerance * left_out[-1]))
+    rank = max(1, int(np.count_nonzero(left_out > RANK_SHARE * tolerance * left_out[-1])))
     if rank > LARGEST_RANK:
         return None
-    right = vectors[:, ::-1].conj().T
-    rank = max(rank, 1)
-    right = right[:rank]
-    left = kernel @ right.conj().T
-    source_values = np.concatenate([left.real, left.imag], axis=1)
-    source_series = TensorSeries.pruned(tensor_coefficients(source_values, source_orders), tolerance / 4)
-    target_values = np.concatenate([right.real, right.imag, slopes, constant[None]]).T
-    target_series = TensorSeries.pruned(tensor_coefficients(target_values, target_orders), 0.0)
-    reach = np.abs(slopes).max(axis=1, initial=0.0)
-    return LowRank(
-        path, box, rectangle, wavelength, middle, target_series, source_series, rank, tuple(linear), reach, tolerance
-    )
+    right = vectors[:, ::-1][:, :rank].conj().T
+    return kernel @ right.conj().T, right
 
 
 def low_rank_sum(expansion: LowRank, sources: np.ndarray, weights: np.ndarray, places: PlanePoints) -> np.ndarray:
     """Field (m,) complex128 at the places, on the plane and within the rectangle of the expansion's target.
 
-    The sources or the places, whichever are more, are shared out to the cores, each with NUFFTs of one thread: no barriers.
+    The sources or the places, whichever are more, are shared out to the cores, each with NUFFTs of one thread: without
+    barriers a busy machine costs a core's share, not a multiple.
     """
     rank = expansion.rank
     scale = float(np.abs(weights).max()) or 1.0

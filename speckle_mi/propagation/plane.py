@@ -41,3 +41,11 @@ class Rectangle:
             for side, values in zip(self.sides, places.T, strict=True)
         )
         return PlanePoints(target.origin, target.u, target.v, a, b)
+
+
+def points_at(target: PlaneGrid | PlanePoints, index: np.ndarray) -> PlanePoints:
+    """The points of the target with flat indices ``index`` (m,)."""
+    if isinstance(target, PlaneGrid):
+        row, column = np.divmod(index, target.shape[1])
+        return PlanePoints(target.origin, target.u, target.v, column * target.pitch, row * target.pitch)
+    return PlanePoints(target.origin, target.u, target.v, target.a[index], target.b[index])

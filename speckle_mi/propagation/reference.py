@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry import PlaneGrid, PlanePoints
 from .paths import Path
 
 SAMPLE_SEED = 20220601
@@ -35,12 +34,18 @@ def reference_sum(
     return field
 
 
-def sample_of(target: PlaneGrid | PlanePoints, count: int) -> tuple[np.ndarray, PlanePoints]:
-    """Flat indices (count,) of random points of the target, always the same ones, and the points themselves."""
-    pick = np.random.default_rng(SAMPLE_SEED).integers(target.size, size=min(count, target.size))
-    if isinstance(target, PlaneGrid):
-        row, column = np.divmod(pick, target.shape[1])
-        a, b = column * target.pitch, row * target.pitch
-    else:
-        a, b = target.a[pick], target.b[pick]
-    return pick, PlanePoints(target.origin, target.u, target.v, a, b)
+def sample_of(power: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points on which to measure an error: flat indices (count,), and how often each is drawn relative to evenly.
+
+    Half of them evenly, half by ``power`` (m,), the field's square: a focus in a dark field is looked at, and so is the
+    dark. Dividing by the second array makes sums over the sample unbiased. Always the same for the same field.
+    """
+    random = np.random.default_rng(SAMPLE_SEED)
+    total = np.cumsum(power)
+    if not total[-1] > 0:
+        return random.integers(len(power), size=count), np.ones(count)
+    half = count // 2
+    by_power = np.searchsorted(total, random.random(half) * total[-1], side="right")
+    pick = np.concatenate([np.minimum(by_power, len(power) - 1), random.integers(len(power), size=count - half)])
+    even = (count - half) / count
+    return pick, even + (1 - even) * power[pick] / (total[-1] / len(power))
