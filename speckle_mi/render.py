@@ -19,9 +19,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("-o", "--output", required=True, metavar="F.exr", help="EXR file to write")
     parser.add_argument("--pose", default="", metavar="x=0.02,ry=0.01", help="displacement of the target (mm, deg)")
     parser.add_argument("--sources", metavar="F.npz", help="also write what the sum was made of")
+    parser.add_argument(
+        "--per-source", type=int, default=0, metavar="K", help="also write the fields of the first K scatterers, as layers"
+    )
     parser.add_argument("--spp", type=int, default=0, help="sub-pixels a pixel that the intensity is averaged over")
     options = parser.parse_args(arguments)
     pose = Pose.parse(options.pose)
+    for flag, value in (("--per-source", options.per_source), ("--spp", options.spp)):
+        if value < 0:
+            raise ValueError(f"{flag} {value}: must not be negative")
     for path in filter(None, (options.output, options.sources)):
         require_folder(path)
 
@@ -34,7 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     frame = simulate_frame(assembly, pose if options.pose else None)
     seconds = time.perf_counter() - start
-    write_field(options.output, frame.image)
+    layers = source_layers(assembly, frame.scatterers, pose if options.pose else None, options.per_source)
+    write_field(options.output, frame.image, layers)
     if options.sources:
         write_sources(options.sources, assembly, frame.scatterers)
     for line in frame.plan:
@@ -44,6 +51,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows, columns = assembly.detector.shape
     say(options, f"{options.output}: {columns} x {rows} pixels, {frame.scatterers.count} scatterers, {seconds:.3g} s, "
                  f"numerical error {frame.numerical_error:.1e}")
+
+
+def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[str, np.ndarray]:
+    """Complex fields (rows, columns) of the first ``count`` scatterers alone, by the names of their layers."""
+    from .simulate import field_of
+
+    count = min(count, scatterers.count)
+    digits = max(3, len(str(count)))
+    return {
+        f"source{number:0{digits}d}": field_of(assembly, scatterers.selected(np.array([number])), pose)
+        for number in range(count)
+    }
 
 
 def require_folder(path: str) -> None:

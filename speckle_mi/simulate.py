@@ -49,6 +49,12 @@ def simulate_frame(assembly: Assembly, pose: Pose | None = None) -> SimulatedFra
     return SimulatedFrame(image, scatterers, lines, error, warnings)
 
 
+def field_of(assembly: Assembly, scatterers: Scatterers, pose: Pose | None = None) -> np.ndarray:
+    """The field (rows, columns) at the pixel centres that given scatterers make with the target at ``pose``."""
+    frame = assembly.target.frame.moved(assembly.pose if pose is None else pose)
+    return _field(assembly, frame, scatterers, plan_of(assembly), (0.0, 0.0))[0]
+
+
 def plan_of(assembly: Assembly) -> Plan:
     """The plan of an assembly with its target at rest, made once."""
     key = assembly.fingerprint()

@@ -89,7 +89,7 @@ def test_rays_inside_the_diameter_meet_front_and_back_near_the_analytic_surfaces
     for surface, side in ((front, -1.0), (back, 1.0)):
         start = np.stack([x, y, np.full(r.size, side * 40.0)], axis=-1)
         origin, direction = surface.frame.to_world(start), -side * surface.frame.axes[:, 2]
-        ray = mi.Ray3f(mi.Point3f(origin.T.astype(np.float32)), mi.Vector3f(*direction))
+        ray = mi.Ray3f(mi.Point3f(origin.T.astype(np.float32)), mi.Vector3f(direction.tolist()))
         si = scene.ray_intersect(ray)
         assert np.all(np.array(si.is_valid()))
         hit = surface.frame.to_local(np.array(si.p, dtype=np.float64).T)
@@ -135,7 +135,7 @@ def test_no_ray_inside_the_outline_of_an_aperture_is_blocked_and_those_beside_it
         for slope in (0.0, 0.5):
             direction = opening.frame.axes @ np.array([slope, 0, 1]) / np.hypot(slope, 1)
             origin = opening.frame.to_world(local) - 2 * direction
-            ray = mi.Ray3f(mi.Point3f(origin.T.astype(np.float32)), mi.Vector3f(*direction))
+            ray = mi.Ray3f(mi.Point3f(origin.T.astype(np.float32)), mi.Vector3f(direction.tolist()))
             assert np.all(np.array(scene.ray_test(ray)) == blocked)
 
 

@@ -63,8 +63,9 @@ class SumResult:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A way of doing the sum: what it is called, how long it should take [s], and how to do it."""
+    """A way of doing the sum: its kind and what exactly, how long it should take [s], and how to do it."""
 
+    kind: str
     name: str
     seconds: float
     field: Callable[[], np.ndarray]
@@ -105,11 +106,14 @@ def _first_that_holds(task: Task, costs: Costs, with_pairs: bool) -> SumResult:
     """The result of the cheapest candidate that keeps the tolerance; every pair is the last resort."""
     missed = ""
     for share in (1.0, 0.03):
-        for candidate in replace(task, tolerance=max(share * task.tolerance, 1e-9)).candidates(costs, with_pairs):
-            result = task.result(candidate, f"predicted {1e3 * candidate.seconds:.3g} ms, the least{missed}")
+        candidates = replace(task, tolerance=max(share * task.tolerance, 1e-9)).candidates(costs, with_pairs)
+        for i, candidate in enumerate(candidates):
+            slower = " and ".join(other.kind for other in candidates[i + 1 :])
+            why = f"predicted faster than {slower}" if slower else "nothing else applies"
+            result = task.result(candidate, why + missed)
             if result.numerical_error <= task.tolerance:
                 return result
-            missed += f"; {candidate.name} missed with {result.numerical_error:.1e}"
+            missed += f"; {candidate.kind} missed the tolerance with {result.numerical_error:.1e}"
     return task.result(task.every_pair(), f"nothing cheaper keeps {task.tolerance:.0e}{missed}")
 
 
@@ -155,7 +159,7 @@ class Task:
             if few_nodes:
                 seconds = slow_down * count * self.nodes.size * costs.point_pair + interpolation
                 name = f"every source on {self._node_text}"
-                found.append(Candidate(name, seconds, lambda: self._on_nodes(self._exact)))
+                found.append(Candidate("every source on nodes", name, seconds, lambda: self._on_nodes(self._exact)))
         best = min([all_pairs, *(candidate.seconds for candidate in found)])
         least = EXPANSION_SECONDS + 2 * count * costs.nufft_point
         if best > least:
@@ -186,8 +190,9 @@ class Task:
         if len(parts) > 1:
             name = f"NUFFTs of rank {min(ranks)} to {max(ranks)} of {len(parts)} parts of the spot"
         if few_nodes:
-            return Candidate(f"{name} on {self._node_text}", seconds + interpolation, lambda: self._on_nodes(low_rank))
-        return Candidate(f"{name} on all points", seconds, lambda: _in_parts(low_rank, self.target))
+            seconds += interpolation
+            return Candidate("NUFFT", f"{name} on {self._node_text}", seconds, lambda: self._on_nodes(low_rank))
+        return Candidate("NUFFT", f"{name} on all points", seconds, lambda: _in_parts(low_rank, self.target))
 
     @property
     def _node_text(self) -> str:
@@ -209,7 +214,8 @@ class Task:
                 return direct_sum(self.path, self.sources, self.weights, self.target, self.wavelength, self.tolerance)
             return self._reference(self.target).reshape(_shape(self.target))
 
-        return Candidate(f"every one of {len(self.sources) * self.target.size:.3g} pairs", np.inf, field)
+        name = f"every one of {len(self.sources) * self.target.size:.3g} pairs"
+        return Candidate("every pair", name, np.inf, field)
 
     def _reference(self, places: PlaneGrid | PlanePoints) -> np.ndarray:
         return reference_sum(self.path, self.sources, self.weights, places.points(), self.wavelength)

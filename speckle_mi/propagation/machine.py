@@ -35,10 +35,10 @@ class Costs:
 
 
 def _seconds(work: Callable[[], object]) -> float:
-    """Best of three after a first run that compiles."""
+    """Best of five after a first run that compiles: the least disturbed by whatever else the machine does."""
     work()
     times = []
-    for _ in range(3):
+    for _ in range(5):
         start = time.perf_counter()
         work()
         times.append(time.perf_counter() - start)
