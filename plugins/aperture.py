@@ -68,7 +68,8 @@ class Aperture(mi.Mesh):
         self.form = read_choice(props, "shape", "circle", _SIZES)
         for name in sum(_SIZES.values(), ()):
             if name in props and name not in _SIZES[self.form]:
-                raise SceneError(f"{self.where}: has {name!r}, but a {self.form} is given by {' and '.join(_SIZES[self.form])}")
+                wanted = " and ".join(_SIZES[self.form])
+                raise SceneError(f"{self.where}: has {name!r}, but a {self.form} is given by {wanted}")
         for name in _SIZES[self.form]:
             setattr(self, name, stored(read_number(props, name, **_SIZE)))
         self.exposed = (*_SIZES[self.form], "outer_radius")

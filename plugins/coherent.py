@@ -45,6 +45,7 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
+from speckle_mi import llvm
 from speckle_mi.assembly import Options, assembly_from_scene
 from speckle_mi.parameters import describe, read_boolean, read_choice, read_integer, read_number
 from speckle_mi.simulate import simulate
@@ -54,6 +55,8 @@ _METHODS = ("auto", "direct", "fast", "rays")
 
 class Coherent(mi.SamplingIntegrator):
     def __init__(self, props: mi.Properties) -> None:
+        if mi.variant().startswith("llvm"):
+            llvm.require_usable()
         self.where = describe(props)
         self.options = Options(
             method=read_choice(props, "method", "auto", _METHODS),

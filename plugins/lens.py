@@ -137,8 +137,8 @@ class Lens(mi.Mesh):
         if np.min(glass) < -_ROUNDING * diameter:
             at = int(np.argmin(glass))
             raise SceneError(
-                f"{self.where}: the surfaces cross inside the diameter of {diameter:g} mm (thickness {glass[at]:.4g} mm at "
-                f"{r[at]:.4g} mm from the axis), must not: 'thickness' {thickness:g} mm must be at least "
+                f"{self.where}: the surfaces cross inside the diameter of {diameter:g} mm (thickness {glass[at]:.4g} "
+                f"mm at {r[at]:.4g} mm from the axis), must not: 'thickness' {thickness:g} mm must be at least "
                 f"{thickness - glass[at]:.7g} mm, or 'diameter' smaller"
             )
 

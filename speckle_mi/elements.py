@@ -107,12 +107,9 @@ def _innermost(bsdf: mi.BSDF) -> mi.BSDF:
     held: list[mi.BSDF] = []
 
     class Collect(mi.TraversalCallback):
-        def put_value(self, *_):
-            pass
-
-        def put_object(self, name, child, flags):
-            if isinstance(child, mi.BSDF):
-                held.append(child)
+        def put(self, name, value, flags):
+            if isinstance(value, mi.BSDF):
+                held.append(value)
 
     bsdf.traverse(Collect())
     return held[0]

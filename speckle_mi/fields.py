@@ -23,6 +23,9 @@ from .surface import Scatterers
 _SOURCES_WITH_OWN_SHADOW = 64
 """Up to so many scatterers have each their own shadow; more share those of as many patches of the spot."""
 
+_SAFE_MARGIN = 0.02
+"""Relative clearance 1 - r^2/R^2 of the outermost rays from which on a rim is taken to cast no shadow."""
+
 _MARGIN_NODES = 24
 """Nodes a side on the detector from which the clearance of rims is interpolated."""
 
@@ -53,7 +56,7 @@ def channel_field(
     for number, rim in enumerate(channel.openings):
         targets = _next_targets(channel, number, grid)
         nodes, areas = _nodes(channel, number, rim, _extremes(sources, axes), targets, wavelength, tolerance)
-        path = _path(channel, number, Interaction.through(Surface(rim.plane.frame), rim.index), axes, opening, wavelength)
+        path = _path(channel, number, Interaction.through(Surface(rim.plane.frame), rim.index), opening, wavelength)
         result = coherent_sum(path, sources, weights, nodes, wavelength, options.method, tolerance)
         values = result.field * _unshadowed(assembly, channel, number, rim, nodes)
         if number == 0 and assembly.target.lobe:
@@ -64,8 +67,8 @@ def channel_field(
         towards = np.mean(targets, axis=0) - rim.plane.frame.origin
         normal = rim.plane.frame.axes[:, 2]
         opening = (normal if normal @ towards > 0 else -normal, rim.index)
-    path = _path(channel, stops, detector_plane(channel.grid), axes, opening, wavelength)
-    if stops or not channel.rims:
+    path = _path(channel, stops, detector_plane(channel.grid), opening, wavelength)
+    if stops or _is_clear(channel, sources, axes, grid):
         result = coherent_sum(path, sources, weights, grid, wavelength, options.method, tolerance)
         values, plan, error = result.field.reshape(grid.shape), result.plan, result.numerical_error
     else:
@@ -90,11 +93,11 @@ def ray_channel(
     return ChannelField(values, (line, *result.warnings), math.nan)
 
 
-def _path(channel: Channel, number: int, end: Interaction, axes: np.ndarray, opening, wavelength: float):
+def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):
     """What leads from point set ``number`` of the channel to the next, which lies in the plane ``end``."""
     between = channel.leg(number)
     if between:
-        return TracedLeg(Sequence((*between, end)), wavelength, axes, opening)
+        return TracedLeg(Sequence((*between, end)), wavelength, opening)
     return FreeSpace() if opening is None else RayleighSommerfeld(opening[0], wavelength)
 
 
@@ -205,6 +208,18 @@ def _unshadowed(assembly: Assembly, channel: Channel, number: int, rim: Rim, nod
         free = (whole.status <= RayStatus.OUTSIDE_OUTLINE) & np.all(whole.margins >= -1e-9, axis=0)
         lit[lit] = free
     return lit.astype(float)
+
+
+def _is_clear(channel: Channel, sources: np.ndarray, axes: np.ndarray, grid: PlaneGrid) -> bool:
+    """Whether no rim casts a shadow on the detector, judged by the outermost rays."""
+    if not channel.rims:
+        return True
+    targets = _next_targets(channel, len(channel.openings), grid)
+    end = detector_plane(channel.grid)
+    return all(
+        np.all(_margins(channel, 0, len(channel.interactions), end, source, targets) > _SAFE_MARGIN)
+        for source in _extremes(sources, axes)
+    )
 
 
 def _shadowed_sum(

@@ -1,18 +1,18 @@
 """Areal quadrature on openings: the points from which a diffraction integral is summed.
 
-A sum over these points stands for the integral over the opening, edge included, of a field whose total phase (that of the
-incident light plus k r to the point where it is looked at) changes by at most a given gradient. In polar coordinates a
-Gauss-Legendre rule in the radius goes with a trapezoidal rule in the angle that has fewer nodes on smaller rings;
-in a rectangle a Gauss-Legendre rule goes along each side. Both rules converge faster than exponentially once they
-resolve the phase, which tells how many nodes are enough:
+A sum over these points stands for the integral over the opening, edge included, of a field whose total phase (that of
+the incident light plus k r to the point where it is looked at) changes by at most a given gradient. In polar
+coordinates a Gauss-Legendre rule in the radius goes with a trapezoidal rule in the angle that has fewer nodes on
+smaller rings; in a rectangle a Gauss-Legendre rule goes along each side. Both rules converge faster than
+exponentially once they resolve the phase, which tells how many nodes are enough:
 
-- n Gauss-Legendre nodes on [-1, 1] integrate e^{icx} with the error (4n + 1) |j_2n(c)| relative to the length: the first
-  term beyond their degree of e^{icx} = sum_l (2l + 1) i^l j_l(c) P_l(x);
-- n equidistant angles integrate e^{iz cos(theta)} with the error 2 |J_n(z)| (the first aliased term of the Jacobi-Anger
-  series), and e^{i(z/2) cos(2 theta)}, the worst phase of the same gradient, with 2 |J_{n/2}(z/2)|.
+- n Gauss-Legendre nodes on [-1, 1] integrate e^{icx} with the error (4n + 1) |j_2n(c)| relative to the length: the
+  first term beyond their degree of e^{icx} = sum_l (2l + 1) i^l j_l(c) P_l(x);
+- n equidistant angles integrate e^{iz cos(theta)} with the error 2 |J_n(z)| (the first aliased term of the
+  Jacobi-Anger series), and e^{i(z/2) cos(2 theta)}, the worst phase of the same gradient, with 2 |J_{n/2}(z/2)|.
 
-Errors are relative to the aperture's L2 scale: the root mean square of the integral of e^{i g.x} over all gradients g up
-to the given one, by Parseval's theorem A min(1, 2/(K R)) for a disc of area A. Lengths are mm, phases rad.
+Errors are relative to the aperture's L2 scale: the root mean square of the integral of e^{i g.x} over all gradients g
+up to the given one, by Parseval's theorem A min(1, 2/(K R)) for a disc of area A. Lengths are mm, phases rad.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ def opening_nodes(
 
     phase_gradient: bound on the gradient of the total phase in the opening [rad/mm], of its length or of its components
     along x and y; tolerance: error of the integral relative to the L2 scale in the module's docstring.
-    tilt: bound on the gradient's component across the radius, and on what its length is at the centre [rad/mm], where it is
-    known that from there it grows no more than in proportion to the radius: a defocused wave, which needs fewer nodes than
-    one that is as steep everywhere. Circles only.
+    tilt: bound on the gradient's component across the radius, and on its length at the centre [rad/mm], where it is
+    known that from there to the rim it stays below a straight line: a defocused wave, which needs fewer nodes than one
+    that is as steep everywhere. Circles only.
     Raises ValueError for a gradient that is negative or not finite, a tolerance out of range and too many nodes.
     """
     gradient = _gradient(phase_gradient)
@@ -76,8 +76,8 @@ def star_nodes(
 ) -> tuple[PlanePoints, np.ndarray]:
     """Nodes inside a smooth curve around the origin of ``frame``, in its plane z = 0, and their weights (q,) [mm^2].
 
-    boundary: distance (n,) [mm] of the curve from the origin at angles (n,) [rad] from x towards y; it must be smooth and
-    of period 2 pi (a vignetted pupil, whose rim is one curve). The other parameters as in :func:`opening_nodes`.
+    boundary: distance (n,) [mm] of the curve from the origin at angles (n,) [rad] from x towards y; it must be smooth
+    and of period 2 pi (a vignetted pupil, whose rim is one curve). The other parameters as in :func:`opening_nodes`.
     Raises ValueError also for a boundary that is not positive, or so rough that the quadrature would not converge.
     """
     gradient = _gradient(phase_gradient)
@@ -160,7 +160,7 @@ def _gauss_count(change: float, error: float) -> int:
 
 
 def _angle_counts(change: np.ndarray, error: float) -> np.ndarray:
-    """Fewest equidistant angles (n,) that resolve phases changing by up to ``change`` (n,) [rad per rad] around a ring."""
+    """Fewest equidistant angles (n,) for phases that change by up to ``change`` (n,) [rad per rad] around a ring."""
     astigmatic = 2 * _bessel_order(change / 2, error)
     return np.maximum(astigmatic, _bessel_order(change, error) + _amplitude_orders(error))
 

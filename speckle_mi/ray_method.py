@@ -1,7 +1,8 @@
 """The paper's own algorithm: a fan of rays from every scatterer, its path lengths interpolated onto the pixels.
 
 Every source sends rays equally distributed over the solid angle that the detector takes up. Each is traced exactly to
-the detector's plane. What arrives there, scattered points with an optical path length, an amplitude and clearances of the
+the detector's plane. What arrives there, scattered points with an optical path length, an amplitude and clearances of
+the
 rims, is interpolated onto the pixel grid, and the complex fields of all sources are added,
 
     E(D) = sum_j c_j A_j(D) e^{+ik L_j(D)},    A = (dA_detector |cos chi| / dOmega_source)^(-1/2),
@@ -9,11 +10,14 @@ rims, is interpolated onto the pixel grid, and the complex fields of all sources
 with the geometric shadow of every rim and no diffraction. Source: "Efficient framework for the simulation of
 translational and rotational laser speckle displacement in optical sensor assemblies", Opt. Eng. 61(6) 061410 (2022),
 section 3, doi:10.1117/1.OE.61.6.061410. Unlike there, the path is interpolated and not the wrapped phase, by
-Chebyshev polynomials through all rays of a source (least squares) and not linearly between three of them; a ray beyond a
+Chebyshev polynomials through all rays of a source (least squares) and not linearly between three of them; a ray beyond
+a
 rim lends its path to the interpolation next to the edge, so that the clearance's zero places the edge between rays.
 
-Relative error of the field on the paper's detector (744 x 480 pixels at 60 mm, free space) against the exact sum: 16 rays
-a source 2e-2, 36: 7e-4, 64: 4e-6, 100: 2e-7, 400 and more: 1e-10, the rounding of the path. Linear interpolation of 1500
+Relative error of the field on the paper's detector (744 x 480 pixels at 60 mm, free space) against the exact sum: 16
+rays
+a source 2e-2, 36: 7e-4, 64: 4e-6, 100: 2e-7, 400 and more: 1e-10, the rounding of the path. Linear interpolation of
+1500
 rays: 0.3. Lenses out of focus with 1500 rays: 1e-10 to 1e-6, the more the closer to the focus.
 The polynomials' degree d ~ 2 N2^(1/4) is what regularly spaced rays determine stably (L. N. Trefethen, "Approximation
 Theory and Approximation Practice", SIAM 2013, ch. 13), so the error falls like exp(-C N2^(1/4)).
@@ -42,7 +46,8 @@ FEWEST_ARRIVALS = 4
 MAXIMUM_DEGREE = 16
 """Of the polynomials: rounding is reached before, and the fit's cost grows with its fourth power."""
 DEPENDENT = 1e-12
-"""Mean square of a polynomial on the rays, relative to the largest, below which the rays do not tell it from the others."""
+"""Mean square of a polynomial on the rays, relative to the largest, below which the rays do not tell it from the
+others."""
 PROBE_RAYS, DENSE_PROBE_RAYS = 41, 201
 """Rays along each side of the lattices that find the solid angle to be covered; dense: the first look for a pinhole."""
 PROBE_STEPS = 20
@@ -84,7 +89,8 @@ def ray_field(
     rays_per_source: int,
     progress: Callable[[int, int], None] | None = None,
 ) -> RayField:
-    """Field on ``grid`` of point sources, by rays through ``sequence``, which ends before the detector (None: free space).
+    """Field on ``grid`` of point sources, by rays through ``sequence``, which ends before the detector (None: free
+    space).
 
     position: (n, 3) [mm], world; amplitude c: (n,) complex, the field at unit distance; wavelength [mm], vacuum;
     rays_per_source: N2, at least ``FEWEST_RAYS``; the lattice holds as many as fit, at most N2. progress: called with
@@ -211,7 +217,8 @@ def _detector_box(grid: PlaneGrid) -> tuple[np.ndarray, np.ndarray]:
 class _LaunchCones:
     """Which solid angle every source has to fill: a window of equal-area coordinates, linear in the source's place.
 
-    axes: (3, 3) rows c, e1, e2, c the middle direction; centre: (3,) of the spot [mm]; window: (4,) p low, p high, q low,
+    axes: (3, 3) rows c, e1, e2, c the middle direction; centre: (3,) of the spot [mm]; window: (4,) p low, p high, q
+    low,
     q high for a source there, None where no light was found; slope: (3, 4) change [1/mm]; margin: (4,) what the linear
     law leaves open.
     """
@@ -283,7 +290,8 @@ def _aimed_start(system: Sequence, grid: PlaneGrid, source: np.ndarray) -> tuple
 def _find_window(system: Sequence, grid: PlaneGrid, axes, source, starts: list[tuple[int, np.ndarray]]):
     """Smallest window (4,) that holds every free ray of ``source`` to the detector, to a step of the probing lattice.
 
-    starts: rays along a side and window (4,) of the lattices to begin with, one after the other until a ray arrives. The
+    starts: rays along a side and window (4,) of the lattices to begin with, one after the other until a ray arrives.
+    The
     lattice is widened where rays at its edge still arrive, and narrowed where they do not. None: no ray does.
     """
     low, high = _detector_box(grid)
@@ -387,8 +395,8 @@ def _check_no_caustic(arrivals: _Arrivals, wavelength: float) -> bool:
     """Whether the shadow of the rims is sharper than diffraction makes it; ValueError where light is focused.
 
     A caustic on the detector is where the tubes' section changes sign, or where rays from different sides of a focal
-    line arrive. A bundle cut by rims is at its focus when its Fresnel number rho^2/(lambda z) is below 1: rho the radius
-    of the patch it lights, z the way from the focal line.
+    line arrive. A bundle cut by rims is at its focus when its Fresnel number rho^2/(lambda z) is below 1: rho the
+    radius of the patch it lights, z the way from the focal line.
     """
     rays, lit = arrivals.rays, arrivals.lit
     sections, reach = np.abs(rays.tube[lit]), float(np.median(rays.reach[lit]))
@@ -400,7 +408,7 @@ def _check_no_caustic(arrivals: _Arrivals, wavelength: float) -> bool:
     elif sections.min() < CAUSTIC_RATIO * np.median(sections):
         reason = f"a ray tube is {np.median(sections) / sections.min():.3g} times narrower than the middle one"
     elif shadowless and np.median(rays.spread[lit]) < CONCENTRATED:
-        reason = f"a source is focused to a patch of radius {1e3 * np.sqrt(patch):.3g} um, {reach:.3g} mm from its focus"
+        reason = f"a patch of radius {1e3 * np.sqrt(patch):.3g} um is lit {reach:.3g} mm from its focus"
     elif reach < 100.0 * wavelength:
         reason = f"a focal line lies {1e3 * reach:.3g} um from the detector"
     if reason:
@@ -422,7 +430,7 @@ class _Sum:
         self._notes: Counter[str] = Counter()
 
     def add(self, arrivals: _Arrivals | int, weight: complex) -> None:
-        """Add one source of strength ``weight``; a number of rays stands for a source that does not reach the detector."""
+        """Add one source of strength ``weight``; a number of rays: of a source that does not reach the detector."""
         if isinstance(arrivals, int):
             self._rays_traced += arrivals
             self._notes["dark"] += 1
@@ -451,10 +459,11 @@ class _Sum:
             "dark": "reach the detector with too few rays to interpolate, or none, and are left out",
             "coarse": f"have a path interpolated to no better than {PATH_WARNING} wavelengths "
             f"(worst {self._path_error:.2g}): take more rays_per_source",
-            "ragged": "are cut off where rays miss a surface or are reflected totally: that edge is placed to a ray spacing",
-            "shadowless": "light a patch too small for a geometric shadow (Fresnel number below 1): diffraction is left out",
+            "ragged": "end where rays miss a surface or are reflected totally: that edge is placed to a ray spacing",
+            "shadowless": "light a patch of Fresnel number below 1: diffraction, left out, blurs all of it",
         }
-        warnings = [f"method 'rays': {self._notes[key]} sources {text}" for key, text in notes.items() if self._notes[key]]
+        told = ((self._notes[key], text) for key, text in notes.items())
+        warnings = [f"method 'rays': {count} sources {text}" for count, text in told if count]
         covered = float(self._reached.mean()) if self._reached.size else 0.0
         return RayField(self._field, covered, self._path_error, warnings, self._rays_traced)
 
@@ -463,7 +472,8 @@ class _Sum:
 class _Fit:
     """Chebyshev polynomials of path, amplitude and clearances through the arrivals of one source.
 
-    box: (2, 2) [mm]; coefficients: (d1+1, d2+1, 2 + r); middle: path [mm] that is taken out of it; lit_cells: (x, y) mask
+    box: (2, 2) [mm]; coefficients: (d1+1, d2+1, 2 + r); middle: path [mm] that is taken out of it; lit_cells: (x, y)
+    mask
     of cells of the box with free rays in or beside them; path_error: [wavelengths].
     """
 
@@ -503,7 +513,8 @@ class _Fit:
     def on_grid(self, columns: np.ndarray, rows: np.ndarray, wavelength: float) -> tuple[np.ndarray, np.ndarray]:
         """Pixels reached and the field of a unit source there, both (rows, columns), at coordinates [mm]."""
         x, y = (
-            chebvander(_scaled(t, self.box[:, k]), self.coefficients.shape[k] - 1) for k, t in enumerate((columns, rows))
+            chebvander(_scaled(t, self.box[:, k]), self.coefficients.shape[k] - 1)
+            for k, t in enumerate((columns, rows))
         )
         path, amplitude, *margins = (y @ c.T @ x.T for c in np.moveaxis(self.coefficients, 2, 0))
         i, j = (
@@ -522,7 +533,8 @@ class _Fit:
 
 
 def _euclidean_degree(lines: tuple[int, int], count: int) -> np.ndarray:
-    """Mask (d1+1, d2+1) of the products T_i T_j with (i/d1)^2 + (j/d2)^2 <= 1, all that serve a function without directions.
+    """Mask (d1+1, d2+1) of the products T_i T_j with (i/d1)^2 + (j/d2)^2 <= 1, all that serve a function without
+    directions.
 
     d = 2 sqrt(lines) along each axis, less where ``count`` rays are too few for it. L. N. Trefethen, "Multivariate
     polynomial approximation in the hypercube", Proc. AMS 145 (2017), doi:10.1090/proc/13623.
@@ -543,7 +555,8 @@ def _scaled(place: np.ndarray, box: np.ndarray) -> np.ndarray:
 def _lit_cells(arrivals: _Arrivals) -> np.ndarray:
     """Cells of the box, about 2.5 rays wide, that hold a free ray or touch one that does.
 
-    Keeps clearances that are extrapolated far from all rays from lighting anything; edges lie where a clearance is zero.
+    Keeps clearances that are extrapolated far from all rays from lighting anything; edges lie where a clearance is
+    zero.
     """
     rays, box = arrivals.rays, arrivals.box
     step = np.sqrt(np.median(np.abs(rays.tube[arrivals.lit])) * arrivals.solid_angle)

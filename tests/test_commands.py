@@ -101,6 +101,7 @@ BAD_RENDERS = {
     "no value": ([SCENE, "-o", "f.exr", "-D", "beam_radius"], ["beam_radius"]),
     "value out of range": ([SCENE, "-o", "f.exr", "-D", "beam_radius=-1"], ["beam_radius", "-1"]),
     "value of wrong type": ([SCENE, "-o", "f.exr", "-D", "width=wide"], ["wide", "line"]),
+    "negative samples": ([SCENE, "-o", "f.exr", "--spp", "-1"], ["--spp", "-1"]),
     "no such variant": ([SCENE, "-o", "f.exr", "--variant", "llvm_ad_rgb"], ["llvm_ad_rgb", "llvm_ad_mono"]),
 }
 

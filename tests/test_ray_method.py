@@ -8,6 +8,7 @@ import pytest
 from speckle_mi.geometry import Frame, PlaneGrid
 from speckle_mi.optics.path import TracedPath
 from speckle_mi.optics.surfaces import Circle, Interaction, Sequence, Surface
+from speckle_mi.optics.trace import RayStatus
 from speckle_mi.propagation.paths import FreeSpace
 from speckle_mi.propagation.reference import reference_sum
 from speckle_mi.ray_method import ray_field
@@ -59,7 +60,8 @@ def exact_free_space(grid: PlaneGrid, position: np.ndarray, amplitude: np.ndarra
 def test_error_in_free_space_falls_faster_than_any_power_of_the_number_of_rays():
     grid, (position, amplitude) = detector(60.0, 48, 74, 0.06), sources()
     exact = exact_free_space(grid, position, amplitude)
-    errors = {n: distance(ray_field(None, grid, position, amplitude, WAVELENGTH, n).field, exact) for n in (16, 64, 400)}
+    fields = {n: ray_field(None, grid, position, amplitude, WAVELENGTH, n).field for n in (16, 64, 400)}
+    errors = {n: distance(field, exact) for n, field in fields.items()}
     assert errors[64] < 1e-2 * errors[16]  # linear interpolation: a fourth
     assert errors[400] < 1e-3 * errors[64]
 
@@ -82,16 +84,21 @@ def test_field_through_a_plate_and_a_lens_is_that_of_aimed_rays(z, curvature, de
     assert distance(result.field, exact) < ROUNDING
 
 
-@pytest.mark.parametrize(("detector_z", "pitch"), [(185.0, 0.008), (195.0, 0.002), (300.0, 0.04)])
+@pytest.mark.parametrize(("detector_z", "pitch"), [(185.0, 0.008), (195.0, 0.008), (300.0, 0.04)])
 def test_out_of_focus_field_behind_lens_and_stop_is_that_of_aimed_rays_on_both_sides_of_the_image(detector_z, pitch):
     grid, (position, amplitude) = detector(detector_z, 24, 24, pitch), sources(3)
+    # Close to the axis: pixels many patches away from a source's light are beyond the caustic of the unstopped lens,
+    # where aiming has several rays to choose from.
+    position = 0.3 * position
     path = TracedPath(Sequence((*IMAGING, Interaction.through(surface(detector_z)))))
     result = ray_field(Sequence(IMAGING), grid, position, amplitude, WAVELENGTH, 1500)
     exact = np.zeros(grid.size, dtype=np.complex128)
     for place, weight in zip(position, amplitude, strict=True):
-        length, factor = path(place[None], grid.points())
-        free = np.all(path.margins(place[None], grid.points()) > 0.0, axis=0)
-        exact += (weight * free * factor * np.exp(2j * np.pi * np.mod(length / WAVELENGTH, 1.0)))[0]
+        # Far outside the stop's shadow there may be no ray at all: dark as well.
+        rays = path.aimed(place[None], grid.points())
+        free = rays.status == RayStatus.OK
+        turns = rays.optical_path_length[free] / WAVELENGTH - 0.25 * rays.caustics[free]
+        exact[free] += weight * rays.amplitude[free] * np.exp(2j * np.pi * np.mod(turns, 1.0))
     assert distance(result.field.ravel(), exact) < LENS_TOLERANCE
 
 

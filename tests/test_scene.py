@@ -150,7 +150,7 @@ def test_a_missing_detector_is_named(mitsuba):
 def test_a_part_that_is_there_twice_is_named(mitsuba, part):
     plugin = {"laser": "laser", "target": "rough_target", "detector": "detector"}[part]
     line = refusal(mitsuba, scene_with(second=re.sub(r'id="\w+"', 'id="other"', PARTS[part])))
-    assert plugin in line and "other" in line, line
+    assert "2 of <" in line and plugin in line, line
 
 
 UNKNOWN = {
@@ -236,6 +236,34 @@ def test_files_are_looked_for_beside_the_scene(mitsuba, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assembly = assembly_from_scene(mitsuba.load_file("scene/scene.xml"))
     np.testing.assert_allclose(assembly.target.points.points, [[0.01, 0.02, 0]])
+
+
+def test_a_scene_may_be_given_as_a_dictionary(mitsuba):
+    """The examples of the plugins' documentation; Python's transforms are of single precision."""
+    look_at = mitsuba.ScalarTransform4f().look_at
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        laser, eye = (
+            direction(rng.uniform(0, 60), rng.uniform(0, 360)) * distance for distance in (50.0, 60.0)
+        )
+        scene = mitsuba.load_dict({
+            "type": "scene",
+            "integrator": {"type": "coherent", "method": "auto", "tolerance": 1e-4},
+            "laser": {
+                "type": "laser", "wavelength": 632.8, "beam_radius": 0.12, "wavefront_radius": -750.0,
+                "to_world": look_at(origin=laser.tolist(), target=[0, 0, 0], up=[0, 1, 0.1]),
+            },
+            "target": {"type": "rough_target", "width": 4.0, "height": 4.0, "roughness": 0.8, "point_sources": 100},
+            "detector": {
+                "type": "detector", "pixel_pitch": 0.006, "film": {"type": "hdrfilm", "width": 24, "height": 16},
+                "to_world": look_at(origin=eye.tolist(), target=[0, 0, 0], up=[0, 1, 0.1]),
+            },
+        })
+        assembly = assembly_from_scene(scene)
+        np.testing.assert_allclose(assembly.beam.axis, -laser / 50, atol=1e-6)
+        np.testing.assert_allclose(assembly.detector.centre, eye, atol=1e-5)
+        np.testing.assert_allclose(assembly.target.spot, 0, atol=1e-4)
+    assert np.array(mitsuba.render(scene)).shape == (16, 24, 3)
 
 
 # Parameters that are exposed

@@ -139,7 +139,8 @@ def test_expected_number_inside_the_footprint_is_point_sources(assemble, angle, 
     surfaces = 40
     counts = []
     for seed in range(surfaces):
-        position = simulate_frame(assembly.with_seed(seed)).scatterers.position
+        surface = assembly.with_seed(seed).target.surface
+        position = illuminated_scatterers(surface, assembly.beam, WORLD).position
         across = position - np.outer(position @ to_laser, to_laser)
         counts.append(np.sum(np.einsum("ij,ij->i", across, across) <= 0.12**2))
     # Cells hold one scatterer each, so only those cut by the rim vary: less than Poisson's sqrt(N).

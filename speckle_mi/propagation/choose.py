@@ -15,12 +15,12 @@ import numpy as np
 from ..geometry import PlaneGrid, PlanePoints
 from .bandlimited import NodeGrid, band_limited_sum, extreme_sources, node_grid
 from .device import active_variant
-from .direct import SINGLE_PRECISION, direct_sum, supports
+from .direct import SINGLE_PRECISION, Extent, direct_sum, supports
 from .interpolated import interpolated
 from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
 from .machine import Costs, measured_costs
 from .paths import Path
-from .plane import points_at
+from .plane import Rectangle, points_at
 from .reference import reference_sum, sample_of
 from .sources import SourceBox
 
@@ -144,8 +144,16 @@ class Task:
         bounds = extreme_sources(self.path, self.sources, self.box, self.target)
         return node_grid(self.path, bounds, self.target, self.wavelength, self.tolerance)
 
+    @property
+    def touching(self) -> bool:
+        """Whether sources may lie on the target: the field is not smooth there, and nodes know nothing of it."""
+        rectangle = Rectangle.around(self.target)
+        return Extent.of(self.box.corners, self.target).distance_to(rectangle.a, rectangle.b) == 0.0
+
     def candidates(self, costs: Costs, with_pairs: bool) -> list[Candidate]:
         """The methods that apply, cheapest first; an expansion is only looked for where it can pay."""
+        if self.touching:
+            return [self.every_pair()]
         found = []
         count, shape = len(self.sources), _shape(self.target)
         interpolation = costs.interpolation(self.nodes.count, shape if len(shape) == 2 else (shape[0], 1))
@@ -222,12 +230,13 @@ class Task:
 
     def result(self, candidate: Candidate, why: str) -> SumResult:
         """Does the sum and measures its relative L2 error on sampled points, against the exact float64 sum."""
-        field = candidate.field()
+        with np.errstate(divide="ignore", invalid="ignore"):  # told below
+            field = candidate.field()
         flat = field.reshape(-1)
         power = flat.real**2 + flat.imag**2
         mean_square = float(power.mean())
         if not np.isfinite(mean_square):
-            raise ValueError("a source lies on a point of the target: the field is infinite there, move one of them")
+            raise ValueError("a source lies on a point of the target: the field is infinite there, move one of the two")
         count = int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64))
         pick, share = sample_of(power, count)
         places = points_at(self.target, pick)
