@@ -19,6 +19,9 @@ from .illumination import Beam
 from .parameters import SceneError, integer_of, value_of
 from .surface import PointScatterers, RoughSurface
 
+MAX_SAMPLES = 4096
+"""Most sub-pixels a pixel: 64 x 64."""
+
 GRAZING = 1e-9
 """Cosine of the angle of incidence below which the beam cannot light the target."""
 
@@ -151,6 +154,8 @@ def _only(candidates: list, kind: str, role: str, plugin: str):
 
 def _sub_pixels(samples: int) -> int:
     """Side of the square of sub-pixels that holds at least ``samples`` of them."""
+    if not 1 <= samples <= MAX_SAMPLES:
+        raise SceneError(f"samples a pixel (sample_count, --spp) are {samples}, must be 1 to {MAX_SAMPLES}")
     return max(1, int(np.ceil(np.sqrt(samples) - 1e-9)))
 
 

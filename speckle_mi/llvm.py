@@ -47,7 +47,7 @@ def prefer_packaged_library() -> None:
     if library is None:
         return
     os.environ[_VARIABLE] = str(library)
-    if "drjit" in sys.modules and not _usable(loaded_version()) and not _variant_active():
+    if sys.modules.get("drjit") is not None and not _usable(loaded_version()) and not _variant_active():
         _restart_backends()
 
 

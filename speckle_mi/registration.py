@@ -14,7 +14,7 @@ def follow_mitsuba() -> None:
     Correlation and theory run without Mitsuba, so it is not imported here: where it is not loaded yet, the
     registration waits for its import.
     """
-    if "mitsuba" in sys.modules:
+    if sys.modules.get("mitsuba") is not None:
         _follow_variants(sys.modules["mitsuba"])
     else:
         sys.meta_path.insert(0, _AfterMitsuba())

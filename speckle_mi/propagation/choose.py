@@ -18,7 +18,7 @@ from .device import active_variant
 from .direct import SINGLE_PRECISION, Extent, direct_sum, supports
 from .interpolated import interpolated
 from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
-from .machine import Costs, measured_costs
+from .machine import Costs, costs_of
 from .paths import Path
 from .plane import Rectangle, points_at
 from .reference import reference_sum, sample_of
@@ -99,7 +99,7 @@ def coherent_sum(
     task = Task(path, sources, weights, target, wavelength, tolerance).with_cheap_path()
     if method == "direct" and supports(path):
         return task.result(task.every_pair(), "as asked")
-    return _first_that_holds(task, measured_costs(active_variant()), with_pairs=method == "auto")
+    return _first_that_holds(task, costs_of(active_variant()), with_pairs=method == "auto")
 
 
 def _first_that_holds(task: Task, costs: Costs, with_pairs: bool) -> SumResult:

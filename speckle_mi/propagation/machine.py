@@ -1,4 +1,9 @@
-"""What the pieces of a coherent sum cost on this machine: measured once a process, in a few hundredths of a second."""
+"""What the pieces of a coherent sum cost, from which the cheapest way is chosen.
+
+On processors the choice rests on recorded costs, so that the same scene takes the same way, and gives the same bits,
+on every machine and at any load: only their ratios matter. ``measured_costs`` is what recorded them, and what the
+benchmark prints beside them.
+"""
 
 from __future__ import annotations
 
@@ -34,6 +39,15 @@ class Costs:
         return products * self.multiply_add + rows * columns * self.pixel
 
 
+RECORDED = Costs(grid_pair=3.1e-10, point_pair=7e-10, nufft_point=3e-8, multiply_add=6e-12)
+"""Measured on two cores of a server processor with AVX-512."""
+
+
+def costs_of(variant: str) -> Costs:
+    """Costs on the back end of a Mitsuba variant: the recorded ones, or on a graphics card what it measures."""
+    return measured_costs(variant) if variant.startswith("cuda") else RECORDED
+
+
 def _seconds(work: Callable[[], object]) -> float:
     """Best of five after a first run that compiles: the least disturbed by whatever else the machine does."""
     work()
@@ -47,7 +61,7 @@ def _seconds(work: Callable[[], object]) -> float:
 
 @lru_cache(maxsize=4)
 def measured_costs(variant: str) -> Costs:
-    """Costs on the backend of the Mitsuba ``variant``, the active one."""
+    """Costs on the back end of the Mitsuba ``variant``, the active one, in a few tenths of a second."""
     random = np.random.default_rng(0)
     sources = np.column_stack([random.normal(size=(512, 2)) * 0.1, np.zeros(512)])
     weights = np.ones(512, dtype=np.complex128)
