@@ -12,11 +12,12 @@ from .geometry import Frame, PlaneGrid, PlanePoints
 from .legs import TracedLeg
 from .lobe import lobe_towards
 from .openings import opening_nodes
-from .optics import chebyshev
 from .optics.aim import aim
 from .optics.surfaces import Circle, Interaction, Sequence, Surface
+from .optics.trace import RayStatus, trace
 from .plan import Channel, Rim, detector_plane
 from .propagation import FreeSpace, RayleighSommerfeld, coherent_sum
+from .propagation.chebyshev import chebyshev_nodes, interpolation_matrix
 from .ray_method import ray_field
 from .surface import Scatterers
 
@@ -189,7 +190,6 @@ def _margins(channel: Channel, first: int, last: int, end: Interaction, source: 
 
 def _unshadowed(assembly: Assembly, channel: Channel, number: int, rim: Rim, nodes: PlanePoints) -> np.ndarray | float:
     """1 where an opening's nodes are lit from the spot's middle over all rims that light is not diffracted at, else 0."""
-    first = channel.openings[number - 1].position if number else 0
     chosen = {opening.number for opening in channel.openings}
     clipping = [r for r in channel.rims if r.number not in chosen]
     if not clipping or number:
@@ -197,16 +197,13 @@ def _unshadowed(assembly: Assembly, channel: Channel, number: int, rim: Rim, nod
     end = Interaction.through(Surface(rim.plane.frame), rim.index)
     points = nodes.points()
     source = np.broadcast_to(assembly.target.spot, points.shape)
-    before = aim(Sequence((*channel.interactions[first : rim.position], end)), source, points)
-    lit = before.converged & np.all(before.margins >= 0, axis=0) if before.margins.size else before.converged
-    # What clips the light behind the opening is decided by where the ray from the spot's middle goes on.
-    behind = channel.interactions[rim.position :]
-    if any(i.surface.outline is not None for i in behind[1:] if i.action != "pass") or len(clipping) > 0:
-        from .optics.trace import RayStatus, trace
-
-        whole = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), source[lit], before.launch[lit])
-        free = (whole.status <= RayStatus.OUTSIDE_OUTLINE) & np.all(whole.margins >= -1e-9, axis=0)
-        lit[lit] = free
+    before = aim(Sequence((*channel.leg(0), end)), source, points)
+    lit = before.converged
+    # Where the ray goes on behind the opening decides about the rims there.
+    whole = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), source[lit], before.launch[lit])
+    rows = [row for row, (number, _) in enumerate(Sequence(channel.interactions).rims) if number not in chosen]
+    free = (whole.status <= RayStatus.OUTSIDE_OUTLINE) & np.all(whole.margins[rows] >= 0, axis=0)
+    lit[lit] = free
     return lit.astype(float)
 
 
@@ -261,13 +258,13 @@ def _groups(sources: np.ndarray) -> list[np.ndarray]:
 
 def _lit_pixels(channel: Channel, source: np.ndarray, grid: PlaneGrid) -> np.ndarray:
     """Whether each pixel (rows, columns) is lit from one source (3,): no rim in the way, interpolated clearances."""
-    rows, columns = grid.shape
-    upper = grid.pitch * np.array([max(rows - 1, 1), max(columns - 1, 1)])
-    places = chebyshev.node_grid((_MARGIN_NODES, _MARGIN_NODES), np.zeros(2), upper)
-    targets = grid.origin + places[:, 1:] * grid.u + places[:, :1] * grid.v
+    place = chebyshev_nodes(_MARGIN_NODES)
+    a, b = (0.5 * grid.pitch * (count - 1) * place for count in (grid.shape[1], grid.shape[0]))
+    targets = (grid.centre + b[:, None, None] * grid.v + a[None, :, None] * grid.u).reshape(-1, 3)
     margins = _margins(channel, 0, len(channel.interactions), detector_plane(channel.grid), source, targets)
-    fitted = chebyshev.fit(margins.T.reshape(_MARGIN_NODES, _MARGIN_NODES, -1), np.zeros(2), upper)
-    return np.all(fitted.on_grid((grid.rows, grid.columns)) >= 0, axis=-1)
+    rows, columns = (interpolation_matrix(_MARGIN_NODES, np.linspace(-1, 1, count)) for count in grid.shape)
+    clearance = rows @ margins.reshape(-1, _MARGIN_NODES, _MARGIN_NODES) @ columns.T
+    return np.all(clearance >= 0, axis=0)
 
 
 def _launch_lobe(assembly: Assembly, frame: Frame, channel: Channel, rim: Rim | None, places) -> np.ndarray:

@@ -35,7 +35,7 @@ from scipy.linalg import eigh
 from scipy.ndimage import binary_dilation
 
 from speckle_mi.geometry import Frame, PlaneGrid
-from speckle_mi.optics.aim import _zeros_between, aim
+from speckle_mi.optics.aim import aim, zeros_between
 from speckle_mi.optics.surfaces import Interaction, Sequence, Surface
 from speckle_mi.optics.trace import Log, RayStatus, march
 
@@ -169,7 +169,7 @@ def _trace(system: Sequence, source: np.ndarray, axes: np.ndarray, p: np.ndarray
         for step in march(system, _launch_state(source, axes, p, q), tubes=True):
             log.add(step)
             length += np.abs(step.length)
-            caustics += _zeros_between(*step.tube, step.length)
+            caustics += zeros_between(*step.tube, step.length)
         a0, a1, a2 = step.tube
         section, slope = a0 + step.length * (a1 + step.length * a2), a1 + 2.0 * step.length * a2
         bend = np.sqrt(np.maximum(slope * slope - 4.0 * section * a2, 0.0))

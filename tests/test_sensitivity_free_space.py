@@ -135,8 +135,8 @@ WIDE = {"wavelength": 632.8, "beam_radius": 0.5, "wavefront_radius": None}
 )
 def test_pattern_decorrelates_as_material_leaves_the_beam(assemble, angle, dof, across):
     """Peak correlation exp(-a^2/w^2), a the motion across the beam."""
-    # The footprint is 0.5 mm wide along x at every angle, so that speckle is at least 3.4 px wide: the height of a peak
-    # between two pixels is not known for finer speckle (1.7 px: 0.012 too high). A narrow beam has fewer speckles.
+    # The footprint's radius is at most 0.61 mm, so that speckle is at least 2.7 px wide: the height of a peak between two
+    # pixels is not known for finer speckle (1.7 px: 0.012 too high). A narrow beam has fewer speckles.
     w, surfaces = WIDE["beam_radius"] * across, 10 if across > 0.8 else 20
     text = free_space(
         direction(angle, 180), direction(0), laser=WIDE | {"beam_radius": float(w)}, target={"point_sources": 3000, "width": 8.0, "height": 8.0},

@@ -1,13 +1,19 @@
 """Ray aiming: the ray from a source through a given point on the last plane, its path length, amplitude and caustics.
 
 The launch direction is found by Newton's method with the exact Jacobian of the ray map (tangents carried through the
-trace), damped by shortening steps that do not bring the ray closer. The same Jacobian is the ray tube: it gives the
-geometric amplitude, and where it vanishes between source and target the ray has touched a caustic.
+trace). The same Jacobian is the ray tube: it gives the geometric amplitude, and where it vanishes between source and
+target the ray has touched a caustic.
+
+Near a focus several rays reach a target, all of them exact: with spherical aberration one from the middle of the pupil
+and two from far outside. The caustics they have touched tell their branches apart. A chief ray in the middle of the
+outlines gives the branch; its rays are found by Newton's method from the ray map linearised about the chief ray, else by
+continuation from it. Only a target that the branch does not reach is searched from many sides.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -24,8 +30,17 @@ PLANE_TOLERANCE = 1e-6
 MAXIMUM_STEP = 0.3
 """Largest change of the launch direction [rad] in one Newton step."""
 MAXIMUM_ITERATIONS = 40
-CONTINUATION_STEPS = 12
-"""Stages in which source and target move from a ray that is known to the one that Newton did not find directly."""
+CONTRACTION, CONTRACTING_ITERATIONS = 0.5, 12
+"""Largest ratio of a Newton step to the one before with which the iteration is trusted to end at the root next to its
+start. Natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", Springer 2004, section 2.1."""
+FIRST_STAGE, LAST_STAGE = 0.25, 2.0**-8
+"""Part of the way from the chief ray's ends to a ray's own that continuation tries first, and the one at which it gives
+up: the branch has ended in a fold."""
+SEARCH_ANGLES = np.array([0.01, 0.03, 0.1, 0.3, 0.8])
+PROBE_ANGLES = np.geomspace(1e-3, 0.8, 14)
+"""Angles [rad] to the direction of the first vertex at which a search starts, and at which is looked for free rays."""
+SEARCH_BATCH = 1000
+"""Targets searched at once, to bound the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +84,8 @@ class AimedPaths:
 def aim(sequence: Sequence, sources: np.ndarray, targets: np.ndarray) -> AimedPaths:
     """Rays from ``sources`` (n, 3) through ``targets`` (n, 3) on the last surface of ``sequence``, world [mm].
 
-    Where several rays reach a target (beyond a caustic), the one continuously connected with the chief ray is found:
-    the ray between the middles of sources and targets that leaves closest to the first vertex.
+    Where several rays reach a target (near a focus), one inside all outlines is taken before the others, and then the
+    one that leaves closest to the first vertex.
     Raises ValueError when the last surface is not a plane that light passes, or a target is not on it.
     """
     sources, targets = paired_rows(sources, targets, "sources", "targets")
@@ -83,61 +98,123 @@ def aim(sequence: Sequence, sources: np.ndarray, targets: np.ndarray) -> AimedPa
     if sources.shape[0] == 0:
         return _evaluate(sequence, sources, targets, np.empty((3, 0)))
     source, target = sources.T, targets.T
-    chief = _chief_ray(sequence, source.mean(axis=1), target.mean(axis=1))
+    chief = _chief_ray(sequence, source.mean(axis=1, keepdims=True), target.mean(axis=1, keepdims=True))
     if chief is None:
-        direction = np.full_like(source, np.nan)
-    else:
-        direction = _newton(sequence, source, target, _linear_start(sequence, chief, source, target))
-        lost = ~np.isfinite(direction[0])
-        if lost.any():
-            direction[:, lost] = _continuation(sequence, chief, source[:, lost], target[:, lost])
-    return _evaluate(sequence, sources, targets, direction)
+        return _evaluate(sequence, sources, targets, _search(sequence, source, target))
+    direction = _contract(sequence, source, target, _linear_start(sequence, chief, source, target))
+    found = _evaluate(sequence, sources, targets, direction)
+    for method in (partial(_continuation, chief), _search):
+        rest = ~chief.settles(found)
+        if not rest.any():
+            break
+        direction[:, rest] = method(sequence, source[:, rest], target[:, rest])
+        found = _evaluate(sequence, sources, targets, direction)
+    return found
 
 
 @dataclass(frozen=True)
 class _ChiefRay:
-    """A ray known to get through: source, landing point and launch direction, (3, 1) each."""
+    """A ray known to get through: source, landing point and launch direction, (3, 1) each.
+
+    caustics: focal lines it touched; folded: whether rays of other branches get through the outlines, too.
+    """
 
     source: np.ndarray
     landing: np.ndarray
     direction: np.ndarray
+    caustics: int
+    folded: bool
+
+    def settles(self, found: AimedPaths) -> np.ndarray:
+        """(n,) rays of the chief ray's branch which no ray of another is to be preferred to."""
+        worst = RayStatus.OK if self.folded else RayStatus.OUTSIDE_OUTLINE
+        return (found.status <= worst) & (found.caustics == self.caustics)
 
 
 def _chief_ray(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> _ChiefRay | None:
-    """The ray through ``target`` that leaves closest to the first vertex; else that of a fan which lands closest.
+    """The ray from ``source`` (3, 1) through ``target`` (3, 1), on the branch of the free ray closest to the first vertex.
 
-    None when no ray of the fan comes through.
+    Where that branch does not reach the target, the free ray itself; where no ray is free, what a search finds, else the
+    ray of a fan that lands closest. None when no ray of the fan comes through.
     """
+    axis = _to_first_vertex(sequence, source, target)
+    starts = _fan(source, target, axis, SEARCH_ANGLES)
+    origin, aims = np.broadcast_to(source, starts.shape), np.broadcast_to(target, starts.shape)
+    aimed = _newton(sequence, origin, aims, starts)
+    probes = _fan(source, target, axis, PROBE_ANGLES)
+    direction = np.concatenate([aimed, probes], axis=1)
+    landing, status, caustics = _follow(sequence, np.broadcast_to(source, direction.shape), direction)
+    reaches = np.arange(status.size) < aimed.shape[1]
+    free, nearness = status == RayStatus.OK, dot(direction, axis)
+    branch = free & ~reaches
+    if branch.any():
+        middle = np.flatnonzero(branch)[np.argmax(nearness[branch])]
+        on_branch = reaches & (status <= RayStatus.OUTSIDE_OUTLINE) & (caustics == caustics[middle])
+        best = _preferred(status, nearness, on_branch) if on_branch.any() else middle
+    else:
+        usable = status <= RayStatus.OUTSIDE_OUTLINE
+        if not usable.any():
+            return None
+        miss = np.linalg.norm(landing - target, axis=0)
+        found = usable & reaches
+        best = _preferred(status, nearness, found) if found.any() else np.argmin(np.where(usable, miss, np.inf))
+    folded = bool(np.any(caustics[free] != caustics[best]))
+    one = slice(best, best + 1)
+    return _ChiefRay(source, landing[:, one], direction[:, one], int(caustics[best]), folded)
+
+
+def _search(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Launch directions of the preferred rays, each found by itself from a fan of starts, NaN where none; all (3, n)."""
+    result = np.full(source.shape, np.nan)
+    for first in range(0, source.shape[1], SEARCH_BATCH):
+        batch = slice(first, first + SEARCH_BATCH)
+        axis = _to_first_vertex(sequence, source[:, batch], target[:, batch])
+        starts = _fan(source[:, batch], target[:, batch], axis, SEARCH_ANGLES)
+        n, count = axis.shape[1], starts.shape[1] // axis.shape[1]
+        origin, aims = np.tile(source[:, batch], count), np.tile(target[:, batch], count)
+        direction = _newton(sequence, origin, aims, starts)
+        _, status, _ = _follow(sequence, origin, direction)
+        nearness = dot(direction, np.tile(axis, count))
+        usable = status <= RayStatus.OUTSIDE_OUTLINE
+        best = _preferred(status.reshape(count, n), nearness.reshape(count, n), usable.reshape(count, n))
+        found = direction.reshape(3, count, n)[:, best, np.arange(n)]
+        result[:, batch] = np.where(usable.reshape(count, n).any(axis=0), found, np.nan)
+    return result
+
+
+def _preferred(status: np.ndarray, nearness: np.ndarray, usable: np.ndarray) -> np.ndarray:
+    """Index along the first axis of the usable ray to prefer: inside all outlines, then closest to the first vertex."""
+    merit = np.where(usable, nearness - 4.0 * (status != RayStatus.OK), -np.inf)  # cosines differ by 2 at most
+    return np.argmax(merit, axis=0)
+
+
+def _to_first_vertex(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Unit directions (3, n) from the sources to the first vertex, or to the target from a source that lies there."""
+    axis = sequence.interactions[0].surface.frame.origin[:, None] - source
+    axis = np.where(np.any(axis != 0.0, axis=0), axis, target - source)
+    return axis / np.sqrt(dot(axis, axis))
+
+
+def _fan(source: np.ndarray, target: np.ndarray, axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Directions (3, m n), m for each of n rays, m the slower index: along ``axis``, straight, on cones about the axis."""
     straight = target - source
-    axis = sequence.interactions[0].surface.frame.origin - source
-    axis = axis if np.linalg.norm(axis) > 0.0 else straight
-    axis = axis[:, None] / np.linalg.norm(axis)
-    polar, azimuth = (mesh.ravel() for mesh in np.meshgrid([0.01, 0.03, 0.1, 0.3, 0.8], np.arange(8) * (np.pi / 4)))
-    e1, e2 = _transverse(axis)
-    cone = np.cos(polar) * axis + np.sin(polar) * (np.cos(azimuth) * e1 + np.sin(azimuth) * e2)
-    fan = np.concatenate([axis, straight[:, None] / np.linalg.norm(straight), cone], axis=1)
-    count = fan.shape[1]
-    origin = np.repeat(source[:, None], count, axis=1)
-    aimed = _newton(sequence, origin, np.repeat(target[:, None], count, axis=1), fan)
-    for candidates, found in ((aimed, True), (fan, False)):
-        good = np.isfinite(candidates[0])
-        landing, status = _landings(sequence, origin, candidates)
-        for worst in (RayStatus.OK, RayStatus.OUTSIDE_OUTLINE):
-            usable = np.flatnonzero(good & (status <= worst))
-            if usable.size:
-                miss = np.linalg.norm(landing - target[:, None], axis=0)
-                order = -dot(candidates, axis) if found else miss
-                best = usable[np.argmin(order[usable])]
-                return _ChiefRay(source[:, None], landing[:, best : best + 1], candidates[:, best : best + 1])
-    return None
+    straight = straight / np.sqrt(dot(straight, straight))
+    polar, azimuth = (mesh.reshape(-1, 1) for mesh in np.meshgrid(angles, np.arange(8) * (np.pi / 4)))
+    e1, e2 = (e[:, None] for e in _transverse(axis))
+    cones = np.cos(polar) * axis[:, None] + np.sin(polar) * (np.cos(azimuth) * e1 + np.sin(azimuth) * e2)
+    return np.concatenate([axis, straight, cones.reshape(3, -1)], axis=1)
 
 
-def _landings(sequence: Sequence, source: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """World points (3, n) on the last plane and status (n,)."""
-    log = Log(source.shape[1])
-    for step in march(sequence, np.stack([source, direction], axis=1)):
-        log.add(step)
-    return sequence.last.surface.frame.to_world(step.state[:, 0].T).T, log.status
+def _follow(
+    sequence: Sequence, source: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """World points (3, n) on the last plane, status (n,) and number of caustics (n,)."""
+    log, caustics = Log(source.shape[1]), np.zeros(source.shape[1], dtype=np.int64)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for step in march(sequence, _launch_state(source, direction, *_transverse(direction)), tubes=True):
+            log.add(step)
+            caustics += zeros_between(*step.tube, step.length)
+    return sequence.last.surface.frame.to_world(step.state[:, 0].T).T, log.status, caustics
 
 
 def _linear_start(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -159,7 +236,10 @@ def _linear_start(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, targ
 
 
 def _newton(sequence: Sequence, source: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Launch directions of the rays through ``target``, NaN where none was found from ``start``; all (3, n)."""
+    """Launch directions of rays through ``target``, NaN where none was found from ``start``; all (3, n).
+
+    Damped by shortening steps that do not bring the ray closer: finds a ray from far away, but not always the nearest.
+    """
     aim_xy = (sequence.last.surface.frame.axes.T @ (target - sequence.last.surface.frame.origin[:, None]))[:2]
     result = np.full_like(start, np.nan)
     active = np.arange(start.shape[1])
@@ -188,17 +268,54 @@ def _newton(sequence: Sequence, source: np.ndarray, target: np.ndarray, start: n
     return result
 
 
-def _continuation(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Like ``_newton``, with source and target moved over in stages from the chief ray's."""
-    direction = np.repeat(chief.direction, source.shape[1], axis=1)
-    for part in np.linspace(0.0, 1.0, CONTINUATION_STEPS + 1)[1:]:
-        direction = _newton(
+def _contract(sequence: Sequence, source: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
+    """Like ``_newton``, but only where the steps contract from the start on, so that the root is the one next to it."""
+    aim_xy = (sequence.last.surface.frame.axes.T @ (target - sequence.last.surface.frame.origin[:, None]))[:2]
+    result = np.full_like(start, np.nan)
+    active, direction = np.arange(start.shape[1]), start
+    longest = np.full(active.size, np.inf)
+    for _ in range(CONTRACTING_ITERATIONS):
+        e1, e2 = _transverse(direction)
+        for last in march(sequence, _launch_state(source[:, active], direction, e1, e2)):
+            pass
+        residual = aim_xy[:, active] - last.state[:2, 0]
+        miss, step = np.hypot(*residual), _solve(last.state[:2, 2], last.state[:2, 3], residual)
+        length = np.hypot(*step)
+        contracts = np.isfinite(miss) & (length <= longest)
+        direction = _turned(direction, e1, e2, step)
+        done = contracts & (miss < NEWTON_GOAL)
+        result[:, active[done]] = direction[:, done]
+        keep = contracts & ~done
+        if not keep.any():
+            break
+        active, direction, longest = active[keep], direction[:, keep], CONTRACTION * length[keep]
+    return result
+
+
+def _continuation(chief: _ChiefRay, sequence: Sequence, source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Launch directions (3, n) of the chief ray's branch, NaN where it does not reach ``target`` (3, n).
+
+    Source and target move over from the chief ray's in stages, shorter ones where the rays turn quickly.
+    """
+    n = source.shape[1]
+    result, direction = np.full_like(source, np.nan), np.repeat(chief.direction, n, axis=1)
+    part, stage, active = np.zeros(n), np.full(n, FIRST_STAGE), np.arange(n)
+    while active.size:
+        ahead = np.minimum(part + stage, 1.0)
+        moved = _contract(
             sequence,
-            chief.source + part * (source - chief.source),
-            chief.landing + part * (target - chief.landing),
+            chief.source + ahead * (source[:, active] - chief.source),
+            chief.landing + ahead * (target[:, active] - chief.landing),
             direction,
         )
-    return direction
+        good = np.isfinite(moved[0])
+        part, direction = np.where(good, ahead, part), np.where(good, moved, direction)
+        stage = np.where(good, 2.0 * stage, 0.5 * stage)
+        arrived = part >= 1.0
+        result[:, active[arrived]] = direction[:, arrived]
+        keep = ~arrived & (stage > LAST_STAGE)
+        active, direction, part, stage = active[keep], direction[:, keep], part[keep], stage[keep]
+    return result
 
 
 def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, direction: np.ndarray) -> AimedPaths:
@@ -208,7 +325,7 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
     with np.errstate(invalid="ignore", divide="ignore"):
         for step in march(sequence, _launch_state(sources.T, direction, *_transverse(direction)), tubes=True):
             log.add(step)
-            caustics += _zeros_between(*step.tube, step.length)
+            caustics += zeros_between(*step.tube, step.length)
             length += np.abs(step.length)
         axes = sequence.last.surface.frame.axes
         arrival = axes @ step.state[:, 1]
@@ -236,7 +353,7 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
         )
 
 
-def _zeros_between(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, length: np.ndarray) -> np.ndarray:
+def zeros_between(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Zeros of a0 + a1 t + a2 t^2 in 0 < t < length, (n,) int.
 
     The tube's wavefront has two real principal curvatures (Malus and Dupin), so the zeros are real: counted by signs,
