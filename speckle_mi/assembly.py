@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import mitsuba as mi
 import numpy as np
@@ -76,6 +77,27 @@ class Assembly:
         """Which surface."""
         return self.target.surface.seed
 
+    @property
+    def scene_frame(self) -> Frame:
+        """Where the target's mesh stands in the Mitsuba scene."""
+        return self.target.frame.moved(self.pose)
+
+    def spot_at(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+        """Middle of what scatters with the target at ``frame``: point (3,) [mm] and normal (3,).
+
+        Where the beam's axis meets the surface, which is taken as plane around the spot at rest (where the axis runs
+        along it, the material's own place); the mean of the user's own points.
+        """
+        turn = frame.axes @ self.target.frame.axes.T
+        normal = turn @ self.target.spot_normal
+        if self.target.points is not None:
+            return frame.to_world(self.target.points.points.mean(axis=0)[None])[0], normal
+        place = frame.origin + turn @ (self.target.spot - self.target.frame.origin)
+        slope = float(normal @ self.beam.axis)
+        if abs(slope) < GRAZING:
+            return place, normal
+        return self.beam.origin + (normal @ (place - self.beam.origin)) / slope * self.beam.axis, normal
+
     def with_seed(self, seed: int) -> Assembly:
         """The same assembly with another surface."""
         surface = replace(self.target.surface, seed=seed)
@@ -87,6 +109,10 @@ class Assembly:
 
     def fingerprint(self) -> str:
         """Hash of everything that determines the field but pose and seed, 16 hexadecimal digits."""
+        return self._fingerprint
+
+    @cached_property
+    def _fingerprint(self) -> str:
         text = json.dumps(self._describe(), sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 

@@ -51,6 +51,7 @@ def channel_field(
     """The field on ``grid``, which is the channel's unfolded detector or a part of it, with the target at ``frame``."""
     options, wavelength = assembly.options, assembly.beam.wavelength
     sources, weights, axes, opening = scatterers.position, scatterers.amplitude, frame.axes, None
+    middle, _ = assembly.spot_at(frame)
     lines, errors = [], []
     stops = len(channel.openings)
     tolerance = max(options.tolerance / (stops + 1), 1e-8)
@@ -59,9 +60,9 @@ def channel_field(
         nodes, areas = _nodes(channel, number, rim, _extremes(sources, axes), targets, wavelength, tolerance)
         path = _path(channel, number, Interaction.through(Surface(rim.plane.frame), rim.index), opening, wavelength)
         result = coherent_sum(path, sources, weights, nodes, wavelength, options.method, tolerance)
-        values = result.field * _unshadowed(assembly, channel, number, rim, nodes)
-        if number == 0 and assembly.target.lobe:
-            values = values * _launch_lobe(assembly, frame, channel, rim, nodes)
+        values = result.field
+        if number == 0:
+            values = values * _unshadowed(middle, channel, rim, nodes) * _lobe(assembly, frame, middle, channel, rim, nodes)
         lines.append(f"sum to {rim.name}, {nodes.size} nodes: {result.plan}")
         errors.append(result.numerical_error)
         sources, weights, axes = nodes.points(), values * areas, rim.plane.frame.axes
@@ -74,8 +75,8 @@ def channel_field(
         values, plan, error = result.field.reshape(grid.shape), result.plan, result.numerical_error
     else:
         values, plan, error = _shadowed_sum(assembly, channel, path, sources, weights, grid)
-    if not stops and assembly.target.lobe:
-        values = values * _launch_lobe(assembly, frame, channel, None, grid).reshape(grid.shape)
+    if not stops:
+        values = values * _lobe(assembly, frame, middle, channel, None, grid)
     lines.append(f"sum to the detector: {plan}")
     return ChannelField(values, tuple(lines), float(np.sqrt(np.sum(np.square([*errors, error])))))
 
@@ -87,9 +88,7 @@ def ray_channel(
     sequence = Sequence(channel.interactions) if channel.interactions else None
     rays = assembly.options.rays_per_source
     result = ray_field(sequence, grid, scatterers.position, scatterers.amplitude, assembly.beam.wavelength, rays)
-    values = result.field
-    if assembly.target.lobe:
-        values = values * _launch_lobe(assembly, frame, channel, None, grid).reshape(grid.shape)
+    values = result.field * _lobe(assembly, frame, assembly.spot_at(frame)[0], channel, None, grid)
     line = f"rays: {rays} a source, {result.rays_traced} in all, reach {result.covered:.1%} of the pixels"
     return ChannelField(values, (line, *result.warnings), math.nan)
 
@@ -188,22 +187,20 @@ def _margins(channel: Channel, first: int, last: int, end: Interaction, source: 
     return np.where(aimed.converged, aimed.margins, -1.0)
 
 
-def _unshadowed(assembly: Assembly, channel: Channel, number: int, rim: Rim, nodes: PlanePoints) -> np.ndarray | float:
-    """1 where an opening's nodes are lit from the spot's middle over all rims that light is not diffracted at, else 0."""
+def _unshadowed(middle: np.ndarray, channel: Channel, rim: Rim, nodes: PlanePoints) -> np.ndarray | float:
+    """1 where the first opening's nodes are lit from the spot's middle over all rims that light is not diffracted at."""
     chosen = {opening.number for opening in channel.openings}
-    clipping = [r for r in channel.rims if r.number not in chosen]
-    if not clipping or number:
+    rows = [row for row, (number, _) in enumerate(Sequence(channel.interactions).rims) if number not in chosen]
+    if not rows:
         return 1.0
     end = Interaction.through(Surface(rim.plane.frame), rim.index)
     points = nodes.points()
-    source = np.broadcast_to(assembly.target.spot, points.shape)
+    source = np.broadcast_to(middle, points.shape)
     before = aim(Sequence((*channel.leg(0), end)), source, points)
     lit = before.converged
     # Where the ray goes on behind the opening decides about the rims there.
     whole = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), source[lit], before.launch[lit])
-    rows = [row for row, (number, _) in enumerate(Sequence(channel.interactions).rims) if number not in chosen]
-    free = (whole.status <= RayStatus.OUTSIDE_OUTLINE) & np.all(whole.margins[rows] >= 0, axis=0)
-    lit[lit] = free
+    lit[lit] = (whole.status <= RayStatus.OUTSIDE_OUTLINE) & np.all(whole.margins[rows] >= 0, axis=0)
     return lit.astype(float)
 
 
@@ -267,12 +264,16 @@ def _lit_pixels(channel: Channel, source: np.ndarray, grid: PlaneGrid) -> np.nda
     return np.all(clearance >= 0, axis=0)
 
 
-def _launch_lobe(assembly: Assembly, frame: Frame, channel: Channel, rim: Rim | None, places) -> np.ndarray:
-    """Amplitude of the target's radiation along the rays from the spot's middle to ``places``, (n,)."""
+def _lobe(
+    assembly: Assembly, frame: Frame, middle: np.ndarray, channel: Channel, rim: Rim | None, places: PlaneGrid | PlanePoints
+) -> np.ndarray | float:
+    """Amplitude of the target's radiation along the rays from the spot's middle to places, 1.0 for even radiation."""
+    if not assembly.target.lobe:
+        return 1.0
     points = places.points()
-    end = detector_plane(channel.grid) if rim is None else Interaction.through(Surface(rim.plane.frame), rim.index)
-    between = channel.leg(0)
-    if not between:
-        return lobe_towards(assembly, frame, points - assembly.target.spot)
-    launch = aim(Sequence((*between, end)), np.broadcast_to(assembly.target.spot, points.shape), points).launch
-    return lobe_towards(assembly, frame, launch)
+    towards = points - middle
+    if channel.leg(0):
+        end = detector_plane(channel.grid) if rim is None else Interaction.through(Surface(rim.plane.frame), rim.index)
+        towards = aim(Sequence((*channel.leg(0), end)), np.broadcast_to(middle, points.shape), points).launch
+    amplitude = lobe_towards(assembly, frame, towards)
+    return amplitude.reshape(places.shape) if isinstance(places, PlaneGrid) else amplitude

@@ -70,6 +70,11 @@ class Channel:
         """Whether anything on the way refracts or reflects light, plane mirrors apart."""
         return any(interaction.action != "pass" for interaction in self.interactions)
 
+    @property
+    def viewpoint(self) -> np.ndarray:
+        """(3,) where the light from the target goes first: the vertex of a surface, or the detector's centre [mm]."""
+        return self.interactions[0].surface.frame.origin if self.interactions else self.grid.centre
+
     def leg(self, number: int) -> tuple[Interaction, ...]:
         """The refracting and reflecting interactions between point set ``number`` and the next."""
         first = self.openings[number - 1].position if number > 0 else 0
@@ -95,7 +100,7 @@ def make_plan(assembly: Assembly, frame: Frame) -> Plan:
     if not assembly.elements:
         free = Channel(Route((), (), 0), (), assembly.detector, (), (), ())
         return Plan((free,), ("free space: nothing stands between target and detector, no ray is launched",))
-    arrivals = find_routes(assembly, frame)
+    arrivals = find_routes(assembly)
     if not arrivals.routes:
         blocker = _main_blocker(arrivals.stopped)
         return Plan((), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",))
@@ -115,7 +120,7 @@ def _main_blocker(stopped) -> str:
 
 def _channel(assembly: Assembly, frame: Frame, route: Route) -> Channel:
     interactions, grid = unfold(route.interactions, assembly.detector)
-    rims = _rims(assembly, route.names, interactions)
+    rims = _rims(assembly.spot_at(frame)[0], route.names, interactions)
     bare = Channel(route, interactions, grid, (), rims, ())
     openings, reason = _openings(assembly, frame, bare)
     lines = [f"way: {route.label}", *_mirror_line(route)]
@@ -131,8 +136,8 @@ def _mirror_line(route: Route) -> list[str]:
     return [f"unfolded: plane mirror {', '.join(mirrors)}"] if mirrors else []
 
 
-def _rims(assembly: Assembly, names: tuple[str, ...], interactions: tuple[Interaction, ...]) -> tuple[Rim, ...]:
-    vertices = [assembly.target.spot, *(i.surface.frame.origin for i in interactions)]
+def _rims(spot: np.ndarray, names: tuple[str, ...], interactions: tuple[Interaction, ...]) -> tuple[Rim, ...]:
+    vertices = [spot, *(i.surface.frame.origin for i in interactions)]
     return tuple(
         _rim(name, number, interaction, interaction.surface.frame.origin - vertices[number])
         for number, (name, interaction) in enumerate(zip(names, interactions, strict=True))
@@ -187,7 +192,7 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
         candidates = [rim for rim, v in zip(channel.rims, fringe) if v < CLEAR_OF_EDGE]
     else:
         candidates = list(channel.rims)
-    limiting = _limiting(assembly, channel, candidates)
+    limiting = _limiting(assembly.spot_at(frame)[0], channel, candidates)
     if not limiting:
         if geometric is not None:
             return (), "diffracts nothing: no edge lies in the light"
@@ -220,8 +225,8 @@ def _spot_samples(assembly: Assembly, frame: Frame) -> np.ndarray:
         return np.unique(np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]), axis=0)
     size = assembly.beam.cutoff if np.isfinite(assembly.beam.radius) else np.inf
     size = min(size, 0.5 * float(np.ptp(target.surface.facets.bounds)))
-    around = [target.spot + size * sign * frame.axes[:, k] for k in (0, 1) for sign in (-1, 1)]
-    return np.array([target.spot, *around])
+    spot, _ = assembly.spot_at(frame)
+    return np.array([spot, *(spot + size * sign * frame.axes[:, k] for k in (0, 1) for sign in (-1, 1))])
 
 
 def _detector_samples(grid: PlaneGrid) -> np.ndarray:
@@ -310,14 +315,14 @@ def _outline_size(outline: Circle | Rectangle) -> float:
     return outline.radius if isinstance(outline, Circle) else min(outline.half_x, outline.half_y)
 
 
-def _limiting(assembly: Assembly, channel: Channel, candidates: list[Rim]) -> list[Rim]:
+def _limiting(spot: np.ndarray, channel: Channel, candidates: list[Rim]) -> list[Rim]:
     """Those rims that are the edge of the light from the spot's middle, the most limiting first."""
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
     shares = []
     for rim in candidates:
         places = _rim_points(rim.plane)
         before = tuple(i for i in channel.interactions[: rim.position] if i.action != "pass")
-        source = np.broadcast_to(assembly.target.spot, places.shape)
+        source = np.broadcast_to(spot, places.shape)
         aimed = aim(Sequence((*before, Interaction.through(Surface(rim.plane.frame), rim.index))), source, places)
         reached = aimed.converged
         free = np.zeros(len(places), dtype=bool)

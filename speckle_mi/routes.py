@@ -73,16 +73,16 @@ class Arrivals:
     stopped: Counter
 
 
-def find_routes(assembly: Assembly, frame: Frame) -> Arrivals:
-    """The routes from the spot with the target at ``frame`` to the detector's area.
+def find_routes(assembly: Assembly) -> Arrivals:
+    """The routes from the spot, with the target where it stands in the scene, to the detector's area.
 
     Where no test ray meets that area, the routes to the detector's plane beside it: diffraction may still reach it.
     """
+    frame = assembly.scene_frame
     directions = _test_directions(assembly, frame)
     # A little off the middle: rays along an axis of symmetry would meet vertices of meshes, where facets leak.
-    start = assembly.target.spot + _CLEARANCE * (
-        frame.axes @ assembly.target.frame.axes.T @ assembly.target.spot_normal + 3.7 * frame.axes[:, 0] + 7.1 * frame.axes[:, 1]
-    )
+    spot, normal = assembly.spot_at(frame)
+    start = spot + _CLEARANCE * (normal + 3.7 * frame.axes[:, 0] + 7.1 * frame.axes[:, 1])
     rays = _Rays(np.broadcast_to(start, directions.shape).copy(), directions, len(directions))
     for _ in range(MAX_INTERACTIONS):
         if not np.any(rays.alive):
@@ -140,7 +140,7 @@ class _Rays:
 
 def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     """Directions (n, 3): towards the detector, towards every element, and evenly over the target's hemisphere."""
-    spot, grid = assembly.target.spot, assembly.detector
+    (spot, _), grid = assembly.spot_at(frame), assembly.detector
     half_u, half_v = 0.5 * grid.pitch * grid.shape[1], 0.5 * grid.pitch * grid.shape[0]
     side = (np.arange(_DETECTOR_RAYS) + 0.5) / _DETECTOR_RAYS * 2 - 1
     a, b = (values.ravel() for values in np.meshgrid(side, side))

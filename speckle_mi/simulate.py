@@ -13,7 +13,7 @@ from .geometry import Frame, Pose
 from .fields import channel_field, ray_channel
 from .plan import Plan, make_plan
 from .surface import Scatterers, illuminated_points, illuminated_scatterers
-from .visibility import unblocked_pixels, visible_scatterers
+from .visibility import pixels_in_view, visible_scatterers
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def simulate_frame(assembly: Assembly, pose: Pose | None = None) -> SimulatedFra
     frame = assembly.target.frame.moved(pose)
     warnings: list[str] = []
     plan = plan_of(assembly)
-    scatterers = _visible(assembly, frame, _illuminated(assembly, frame), warnings)
+    scatterers = _visible(assembly, frame, _illuminated(assembly, frame), plan, warnings)
     centre, intensity, lines, error = _detect(assembly, frame, scatterers, plan)
     warnings += plan.warnings
     image = FieldImage(intensity, centre, _header(assembly, pose, scatterers, lines, error, warnings))
@@ -76,13 +76,14 @@ def _illuminated(assembly: Assembly, frame: Frame) -> Scatterers:
     return illuminated_scatterers(target.surface, assembly.beam, frame)
 
 
-def _visible(assembly: Assembly, frame: Frame, lit: Scatterers, warnings: list[str]) -> Scatterers:
+def _visible(assembly: Assembly, frame: Frame, lit: Scatterers, plan: Plan, warnings: list[str]) -> Scatterers:
     if lit.count == 0:
         warnings.append("no light: the beam misses the target at this pose, the field is zero")
         return lit
     if assembly.target.points is not None:
         return lit
-    seen, note = visible_scatterers(assembly, frame, lit)
+    viewpoints = [channel.viewpoint for channel in plan.channels] or [assembly.detector.centre]
+    seen, note = visible_scatterers(assembly, frame, lit, viewpoints)
     if note:
         warnings.append(note)
     return seen
@@ -129,8 +130,8 @@ def _field(
         else:
             part = channel_field(assembly, frame, scatterers, channel, grid)
         values = part.field
-        if not channel.interactions and assembly.elements:
-            values = values * unblocked_pixels(assembly, frame, grid)
+        if not channel.interactions:
+            values = values * pixels_in_view(assembly, frame, grid)
         total += values
         lines += part.lines
         errors.append(part.error * np.linalg.norm(part.field))

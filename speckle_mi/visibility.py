@@ -17,39 +17,57 @@ _OFF_SURFACE = 1e-3
 """Distance [mm] from the target at which rays start, so that its own facets do not stop them."""
 
 
-def visible_scatterers(assembly: Assembly, frame: Frame, lit: Scatterers) -> tuple[Scatterers, str]:
-    """The scatterers that laser and detector's centre both see, and a warning or an empty text.
+def visible_scatterers(
+    assembly: Assembly, frame: Frame, lit: Scatterers, viewpoints: list[np.ndarray]
+) -> tuple[Scatterers, str]:
+    """The scatterers that the laser and one of the viewpoints (3,) see, and a warning or an empty text.
 
-    A flat patch needs only the sign of an angle. On a mesh, rays towards both test whether the target shades itself.
+    A viewpoint is where light goes first: an element, or the detector's centre. A flat patch needs only the sign of an
+    angle. On a mesh, rays towards laser and viewpoint test whether the target shades itself.
     """
-    grid = assembly.detector
-    half_u, half_v = (0.5 * grid.pitch * n for n in (grid.shape[1], grid.shape[0]))
-    corners = [grid.centre + a * half_u * grid.u + b * half_v * grid.v for a in (-1, 1) for b in (-1, 1)]
-    seen = _faces(lit, grid.centre)
-    partly = np.zeros(lit.count, dtype=bool)
-    for corner in corners:
-        partly |= _faces(lit, corner) != seen
-    if not assembly.target.is_flat:
-        free = _unshaded(assembly, frame, lit)
-        seen &= free
-        partly &= free
-    power = np.abs(lit.amplitude) ** 2
-    note = ""
-    if not np.any(seen):
-        note = "no light: the detector sees none of the lit surface at this pose, the field is zero"
-    elif power[partly].sum() > _NOTICEABLE * power[seen].sum():
-        note = "part of the detector lies below the horizon of part of the lit surface: its field is not exact there"
+    seen = np.zeros(lit.count, dtype=bool)
+    for viewpoint in viewpoints:
+        faces = _faces(lit, viewpoint)
+        seen |= faces if assembly.target.is_flat else faces & _unshaded(assembly, frame, lit, viewpoint)
+    note = "" if np.any(seen) else "no light: the detector sees none of the lit surface at this pose, the field is zero"
+    if not assembly.target.is_flat and not assembly.elements and np.any(seen):
+        note = _note_of_horizon(assembly, lit, seen)
     return (lit if np.all(seen) else lit.selected(seen)), note
 
 
-def unblocked_pixels(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndarray:
-    """1 where the straight way from the spot's middle to a pixel is free of every shape of the scene, else 0.
+def _note_of_horizon(assembly: Assembly, lit: Scatterers, seen: np.ndarray) -> str:
+    """A warning when parts of the detector see other parts of a curved surface than its centre does."""
+    grid = assembly.detector
+    half_u, half_v = (0.5 * grid.pitch * n for n in (grid.shape[1], grid.shape[0]))
+    partly = np.zeros(lit.count, dtype=bool)
+    for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+        partly |= _faces(lit, grid.centre + a * half_u * grid.u + b * half_v * grid.v) != seen
+    power = np.abs(lit.amplitude) ** 2
+    if power[partly].sum() <= _NOTICEABLE * power[seen].sum():
+        return ""
+    return "part of the detector lies below the horizon of part of the lit surface: its field is not exact there"
 
-    A way through the hole of a screen is not counted either: it is a way of its own.
+
+def pixels_in_view(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndarray | float:
+    """1 where the straight way from the spot's middle to a pixel is free, (rows, columns), or 1.0 where all are.
+
+    A flat target itself hides what lies behind its plane; elements hide what lies behind them. A way through the hole
+    of a screen is not counted either: it is a way of its own.
     """
-    target = assembly.target
-    normal = frame.axes @ target.frame.axes.T @ target.spot_normal
-    start = target.spot + _OFF_SURFACE * normal
+    if assembly.elements:
+        return _unblocked_pixels(assembly, grid)
+    if not assembly.target.is_flat or assembly.target.points is not None:
+        return 1.0
+    spot, normal = assembly.spot_at(frame)
+    height = (grid.origin - spot) @ normal
+    above = height + (grid.rows * (grid.v @ normal))[:, None] + (grid.columns * (grid.u @ normal))[None, :] > 0
+    return 1.0 if np.all(above) else above.astype(float)
+
+
+def _unblocked_pixels(assembly: Assembly, grid: PlaneGrid) -> np.ndarray:
+    """1 where the straight way from the spot's middle to a pixel is free of every shape of the scene, else 0."""
+    spot, normal = assembly.spot_at(assembly.scene_frame)
+    start = spot + _OFF_SURFACE * normal
     to_pixel = grid.points() - start
     distance = np.linalg.norm(to_pixel, axis=1)
     start, direction = np.broadcast_to(start, to_pixel.shape), to_pixel / distance[:, None]
@@ -65,8 +83,8 @@ def _faces(scatterers: Scatterers, point: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", scatterers.normal, point - scatterers.position) > 0
 
 
-def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers) -> np.ndarray:
-    """Whether the way to the laser and to the detector's centre is free of the target's own mesh, (n,) bool.
+def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers, viewpoint: np.ndarray) -> np.ndarray:
+    """Whether the way to the laser and to the viewpoint is free of the target's own mesh, (n,) bool.
 
     The rays are turned into the pose of the mesh in the Mitsuba scene, so that no scene has to be built anew.
     """
@@ -74,7 +92,7 @@ def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers) -> np.ndarray:
     current = target.frame.moved(target.shape.pose())
     points = current.to_world(frame.to_local(lit.position))
     normals = lit.normal @ frame.axes @ current.axes.T
-    centre = current.to_world(frame.to_local(assembly.detector.centre[None]))[0]
+    centre = current.to_world(frame.to_local(viewpoint[None]))[0]
     scene = _scene_of(target.shape)
     size = float(np.max(np.ptp(target.surface.facets.origin, axis=0), initial=0.0))
     start = points + normals * max(1e-5 * size, 4 * target.surface.roughness)
