@@ -23,6 +23,8 @@ from .sysinfo import system_information
 
 _CURVE_POINTS = 101
 
+_ROUNDS_TO_ZERO = 5e-5
+
 
 def unit_of(dof: str) -> str:
     """Unit of a sensitivity to a motion."""
@@ -225,7 +227,9 @@ def _with_interval(fit: Sensitivity) -> str:
 
 
 def _number(value: float | None, form: str = "{:+.4f}") -> str:
-    return "-" if value is None or not math.isfinite(value) else form.format(value)
+    if value is None or not math.isfinite(value):
+        return "-"
+    return form.format(0.0 if abs(value) < _ROUNDS_TO_ZERO else value)  # without the sign of a rounded zero
 
 
 def _is_nan(value: object) -> bool:

@@ -41,11 +41,9 @@ def as_image(image: np.ndarray, name: str = "image") -> np.ndarray:
 
 def deviation(image: np.ndarray) -> np.ndarray | None:
     """Finite float64 image minus its mean, divided by its rms deviation; None if the image is constant."""
-    largest = float(np.max(np.abs(image)))
-    if largest == 0.0:
+    if not np.any(image):
         return None
-    # Scaling by a power of two is exact and keeps the squares of very dim or bright images in range.
-    scaled = np.ldexp(image, -math.frexp(largest)[1])
+    scaled = _in_range(image)
     scaled -= scaled.mean()
     rms = math.sqrt(float(np.mean(np.square(scaled))))
     if rms < FLAT:
@@ -54,12 +52,17 @@ def deviation(image: np.ndarray) -> np.ndarray | None:
     return scaled
 
 
+def _in_range(image: np.ndarray) -> np.ndarray:
+    """A float64 image over the power of two next above its largest pixel: exact, and its squares stay in range."""
+    return np.ldexp(image, -math.frexp(float(np.max(np.abs(image))))[1])
+
+
 def contrast(intensity: np.ndarray) -> float:
     """Speckle contrast: rms deviation over mean, 1 for fully developed polarised speckle (Goodman, ch. 3).
 
     intensity: (rows, columns). NaN for an image without light. Raises ValueError for pixels that are not finite.
     """
-    image = as_image(intensity, "intensity")
+    image = _in_range(as_image(intensity, "intensity"))
     mean = float(image.mean())
     return float(image.std()) / mean if mean > 0.0 else math.nan
 

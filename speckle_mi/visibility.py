@@ -22,13 +22,16 @@ def visible_scatterers(
 ) -> tuple[Scatterers, str]:
     """The scatterers that the laser and one of the viewpoints (3,) see, and a warning or an empty text.
 
-    A viewpoint is where light goes first: an element, or the detector's centre. A flat patch needs only the sign of an
-    angle. On a mesh, rays towards laser and viewpoint test whether the target shades itself.
+    A viewpoint is where light goes first: an element, or the detector's centre. A bare detector sees only what lies in
+    front of it. A flat patch needs only the sign of an angle. On a mesh, rays towards laser and viewpoint test whether the target shades itself.
     """
     seen = np.zeros(lit.count, dtype=bool)
     for viewpoint in viewpoints:
         faces = _faces(lit, viewpoint)
         seen |= faces if assembly.target.is_flat else faces & _unshaded(assembly, frame, lit, viewpoint)
+    if not assembly.elements:
+        # Through elements the light's last way is another: the routes know its side.
+        seen &= (lit.position - assembly.detector.centre) @ assembly.detector.normal > 0
     note = "" if np.any(seen) else "no light: the detector sees none of the lit surface at this pose, the field is zero"
     if not assembly.target.is_flat and not assembly.elements and np.any(seen):
         note = _note_of_horizon(assembly, lit, seen)

@@ -521,6 +521,79 @@ def test_unreachable_target_is_reported_and_the_others_are_not_disturbed():
     assert aimed.caustics[1] == -1
 
 
+def lit_through_a_stop(stop_radius: float, stop_z: float, lens_pair, end: float, source, rng):
+    """Sequence of stop, lens and plane at ``end``, and the launch directions (n, 3) of rays through the stop."""
+    stop = Interaction.through(Surface(frame(stop_z), outline=Circle(stop_radius)))
+    rims = [
+        Interaction.refract(Surface(i.surface.frame, i.surface.curvature, i.surface.conic, Circle(10.0)),
+                            i.index_before, i.index_after)
+        for i in lens_pair
+    ]  # fmt: skip
+    angle, r = rng.uniform(0.0, 2 * np.pi, 200), 0.999 * stop_radius * np.sqrt(rng.random(200))
+    direction = np.column_stack([r * np.cos(angle), r * np.sin(angle), np.full(200, stop_z)]) - source
+    return Sequence((stop, *rims, plane(end))), direction / np.linalg.norm(direction, axis=1, keepdims=True)
+
+
+def assert_bulk_equals_single(sequence: Sequence, sources, targets, bulk, rows):
+    for i in rows:
+        single = aim(sequence, sources[i : i + 1], targets[i : i + 1])
+        assert (single.status[0], single.caustics[0]) == (bulk.status[i], bulk.caustics[i])
+        np.testing.assert_allclose(
+            single.optical_path_length[0], bulk.optical_path_length[i], rtol=0, atol=PATH_TOLERANCE
+        )
+
+
+@pytest.mark.parametrize("end", [190.0, 195.0, 198.0, 202.0])
+def test_pixels_around_the_image_of_a_spot_are_lit_by_the_rays_through_the_stop(end):
+    # Spherical aberration brings rays from far outside the stop to the same pixels; these must not be taken instead.
+    source, rng = np.array([-0.085, 0.108, 0.0]), np.random.default_rng(14)
+    sequence, launch = lit_through_a_stop(2.0, 98.0, lens(100.0, 0.02, -0.02, 5.0), end, source, rng)
+    sources = np.tile(source, (576, 1))
+    side = (np.arange(24) - 11.5) * 8e-3
+    x, y = (m.ravel() for m in np.meshgrid(side, side))
+    pixels = np.column_stack([x, y, np.full(576, end)])
+    bulk = aim(sequence, sources, pixels)
+    assert bulk.converged.all()
+    assert_bulk_equals_single(sequence, sources, pixels, bulk, range(0, 576, 23))
+    # The lit pixels are those within the patch that the traced rays make.
+    patch = trace(sequence, sources[:200], launch).points[-1, :, :2]
+    centre = trace(sequence, sources[:1], [[0.0, 0.0, 98.0] - source]).points[-1, 0, :2]
+    inside = np.hypot(*(pixels[:, :2] - centre).T) < 0.9 * np.hypot(*(patch - centre).T).max()
+    assert (bulk.status[inside] == RayStatus.OK).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_ray_traced_through_the_stop_is_found_again_near_a_focus(seed):
+    rng = np.random.default_rng(seed)
+    z, source = rng.uniform(90.0, 160.0), rng.uniform(-0.3, 0.3, 3)
+    curved = lens(
+        z, 1 / rng.uniform(25.0, 60.0), -1 / rng.uniform(25.0, 60.0), rng.uniform(3.0, 6.0), k1=rng.uniform(-1.0, 1.0),
+        rotation=(*rng.uniform(-0.1, 0.1, 2), 0.0),
+    )  # fmt: skip
+    near_axis = np.array([[0.0, 0.0, z], [1e-3, 0.0, z]]) - source
+    close = trace(Sequence((*curved, plane(z + 7.0))), np.tile(source, (2, 1)), near_axis)
+    slopes = close.directions[:, 0] / close.directions[:, 2]
+    to_focus = -(close.points[-1, 1, 0] - close.points[-1, 0, 0]) / (slopes[1] - slopes[0])
+    assert to_focus > 0.0
+    # Within the range in which the outer zones' aberration folds the wavefront back onto the lit patch.
+    end = z + 7.0 + to_focus * (1.0 + rng.choice([-0.08, -0.05, 0.05, 0.08]))
+    sequence, launch = lit_through_a_stop(rng.uniform(0.5, 2.0), z - 2.0, curved, end, source, rng)
+    sources = np.tile(source, (200, 1))
+    traced = trace(sequence, sources, launch)
+    assert traced.valid.all()
+    patch = traced.points[-1]
+    again = aim(sequence, sources, patch)
+    np.testing.assert_allclose(again.launch, launch, rtol=0, atol=1e-9)  # 1e-8 mm at the target, magnified by the focus
+    np.testing.assert_allclose(again.optical_path_length, traced.optical_path_length, rtol=0, atol=PATH_TOLERANCE)
+    # A larger detector: the same holds for what is shadowed.
+    centre, width = patch.mean(axis=0), np.ptp(patch, axis=0)[:2].max()
+    targets = centre + rng.uniform(-width, width, (200, 3)) * [1.0, 1.0, 0.0]
+    sources = sources + rng.uniform(-0.05, 0.05, (200, 3)) * [1.0, 1.0, 0.0]
+    bulk = aim(sequence, sources, targets)
+    assert {RayStatus.OK, RayStatus.OUTSIDE_OUTLINE} <= set(bulk.status.tolist())
+    assert_bulk_equals_single(sequence, sources, targets, bulk, range(0, 200, 20))
+
+
 def test_vignetted_ray_is_found_with_a_negative_margin():
     front, back = lens(60.0, 0.02, -0.02, 5.0)
     stop = Interaction.through(Surface(frame(66.0), outline=Circle(1.0)))

@@ -6,8 +6,8 @@ target the ray has touched a caustic.
 
 Near a focus several rays reach a target, all of them exact: with spherical aberration one from the middle of the pupil
 and two from far outside. The caustics they have touched tell their branches apart. A chief ray in the middle of the
-outlines gives the branch; its rays are found by Newton's method from the ray map linearised about the chief ray, else by
-continuation from it. Only a target that the branch does not reach is searched from many sides.
+outlines gives the branch; its rays are found by Newton's method from the ray map linearised about the chief ray, else
+by continuation from it. Only a target that the branch does not reach is searched from many sides.
 """
 
 from __future__ import annotations
@@ -132,10 +132,10 @@ class _ChiefRay:
 
 
 def _chief_ray(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> _ChiefRay | None:
-    """The ray from ``source`` (3, 1) through ``target`` (3, 1), on the branch of the free ray closest to the first vertex.
+    """The ray from ``source`` (3, 1) to ``target`` (3, 1), on the branch of the free ray closest to the first vertex.
 
-    Where that branch does not reach the target, the free ray itself; where no ray is free, what a search finds, else the
-    ray of a fan that lands closest. None when no ray of the fan comes through.
+    Where that branch does not reach the target, the free ray itself; where no ray is free, what a search finds, else
+    the ray of a fan that lands closest. None when no ray of the fan comes through.
     """
     axis = _to_first_vertex(sequence, source, target)
     starts = _fan(source, target, axis, SEARCH_ANGLES)
@@ -164,7 +164,7 @@ def _chief_ray(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> _C
 
 
 def _search(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Launch directions of the preferred rays, each found by itself from a fan of starts, NaN where none; all (3, n)."""
+    """Launch directions (3, n) of the preferred rays, each found by itself from a fan of starts, NaN where none."""
     result = np.full(source.shape, np.nan)
     for first in range(0, source.shape[1], SEARCH_BATCH):
         batch = slice(first, first + SEARCH_BATCH)
@@ -196,7 +196,7 @@ def _to_first_vertex(sequence: Sequence, source: np.ndarray, target: np.ndarray)
 
 
 def _fan(source: np.ndarray, target: np.ndarray, axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Directions (3, m n), m for each of n rays, m the slower index: along ``axis``, straight, on cones about the axis."""
+    """Directions (3, m n), m for each of n rays, m the slower index: ``axis``, straight, cones about the axis."""
     straight = target - source
     straight = straight / np.sqrt(dot(straight, straight))
     polar, azimuth = (mesh.reshape(-1, 1) for mesh in np.meshgrid(angles, np.arange(8) * (np.pi / 4)))

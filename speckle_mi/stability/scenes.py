@@ -18,11 +18,27 @@ _WORLD = Frame(np.zeros(3), np.eye(3))
 
 
 @dataclass(frozen=True)
+class Part:
+    """An element of the scene. kind: plugin; frame: its place on the bench; values: parameters; inside: further XML."""
+
+    kind: str
+    name: str
+    frame: Frame
+    values: dict
+    inside: str = ""
+    scale: float = 1.0
+
+    def xml(self, bench: Bench) -> str:
+        place = placed(bench.in_world(self.frame), self.scale)
+        return f'<shape type="{self.kind}" id="{self.name}">{place}{parameters(self.values)}{self.inside}</shape>'
+
+
+@dataclass(frozen=True)
 class Bench:
     """A laser, a target at the origin facing +z, and a detector that looks at it; all parts may be moved together.
 
     laser_angle, detector_angle: from the normal in the xz plane [deg]; distances [mm]; laser, target, detector,
-    integrator: parameters of the plugins; elements: XML of other parts; world: where the whole bench stands;
+    integrator: parameters of the plugins; elements: other parts; world: where the whole bench stands;
     backwards: writes the parts in the opposite order.
     """
 
@@ -36,7 +52,7 @@ class Bench:
     target: dict = field(default_factory=dict)
     detector: dict = field(default_factory=dict)
     integrator: dict = field(default_factory=dict)
-    elements: tuple[str, ...] = ()
+    elements: tuple[Part, ...] = ()
     world: Frame = _WORLD
     backwards: bool = False
 
@@ -49,11 +65,11 @@ class Bench:
         parts = [
             f'<integrator type="coherent">{parameters(self.integrator)}</integrator>',
             f'<emitter type="laser" id="laser">{self._place(self.laser_angle, self.laser_distance)}{parameters(laser)}</emitter>',
-            f'<shape type="rough_target" id="target">{placed(self._in_world(self.target_frame))}{parameters(target)}</shape>',
+            f'<shape type="rough_target" id="target">{placed(self.in_world(self.target_frame))}{parameters(target)}</shape>',
             f'<sensor type="detector" id="detector">'
             f"{self._place(self.detector_angle, self.detector_distance, self.detector_turn)}"
             f'{parameters(pitch)}<film type="hdrfilm">{parameters(size)}</film></sensor>',
-            *self.elements,
+            *(part.xml(self) for part in self.elements),
         ]
         return f'<scene version="3.0.0">{"".join(parts[::-1] if self.backwards else parts)}</scene>'
 
@@ -86,22 +102,18 @@ class Bench:
         """Place at ``distance`` in a direction, its local +z turned back to the origin (for a turn of 180 deg)."""
         axes = rotation_matrix(np.radians([0.0, angle, 0.0]))
         facing = axes @ rotation_matrix(np.radians([0.0, turn, 0.0]))
-        return placed(self._in_world(Frame(distance * axes[:, 2], facing)))
+        return placed(self.in_world(Frame(distance * axes[:, 2], facing)))
 
-    def _in_world(self, frame: Frame) -> Frame:
+    def in_world(self, frame: Frame) -> Frame:
+        """A place on the bench as a place in the world."""
         return Frame(self.world.to_world(frame.origin[None])[0], self.world.axes @ frame.axes)
 
 
-def placed(frame: Frame) -> str:
-    """``to_world`` of a frame."""
+def placed(frame: Frame, scale: float = 1.0) -> str:
+    """``to_world`` of a frame, with a scale for stock shapes."""
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = frame.axes, frame.origin
+    matrix[:3, :3], matrix[:3, 3] = scale * frame.axes, frame.origin
     return f'<transform name="to_world"><matrix value="{" ".join(repr(float(x)) for x in matrix.ravel())}"/></transform>'
-
-
-def along_axis(z: float) -> str:
-    """``to_world`` of a part on the z axis."""
-    return placed(Frame(np.array([0.0, 0.0, z]), np.eye(3)))
 
 
 def parameters(values: dict) -> str:
@@ -114,14 +126,18 @@ def parameters(values: dict) -> str:
     )
 
 
-def lens(z: float, **values) -> str:
+def lens(z: float, **values) -> Part:
     """A lens with its front vertex on the z axis."""
-    return f'<shape type="lens" id="lens">{along_axis(z)}{parameters(values)}</shape>'
+    return Part("lens", "lens", _on_axis(z), values)
 
 
-def aperture(z: float, name: str = "stop", **values) -> str:
+def aperture(z: float, name: str = "stop", **values) -> Part:
     """An aperture on the z axis."""
-    return f'<shape type="aperture" id="{name}">{along_axis(z)}{parameters(values)}</shape>'
+    return Part("aperture", name, _on_axis(z), values)
+
+
+def _on_axis(z: float) -> Frame:
+    return Frame(np.array([0.0, 0.0, z]), np.eye(3))
 
 
 # Exact sums, written down independently of the propagation
@@ -158,10 +174,13 @@ def exact_sum(position: np.ndarray, amplitude: np.ndarray, places: np.ndarray, w
 def exact_laser(beam, points: np.ndarray) -> np.ndarray:
     """The laser's field at points (n, 3) from its definition, in extended precision, (n,)."""
     wide = np.longdouble
-    axis, from_reference = beam.axis.astype(wide), points.astype(wide) - beam.reference.astype(wide)
+    from_reference = points.astype(wide) - beam.reference.astype(wide)
+    axis = beam.axis.astype(wide)
+    axis /= np.sqrt(axis @ axis)
     along = from_reference @ axis
-    if np.isinf(beam.wavefront_radius):
-        path = along
+    if np.abs(beam.wavefront_radius) > 1e6:
+        # A parabola: the next term of the expansion is below a millionth of a millionth of a millimetre.
+        path = along + (np.sum(np.square(from_reference), axis=1) - along**2) / (2 * wide(beam.wavefront_radius))
     else:
         radius = wide(beam.wavefront_radius)
         centre = beam.reference.astype(wide) - radius * axis

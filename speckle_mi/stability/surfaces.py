@@ -97,7 +97,7 @@ def partially_developed_speckle(quick: bool):
 def one_scatterer(quick: bool):
     """A spherical wave: e^{ikr}/r, in modulus and phase, wherever the point is."""
     for name, point in {"in the middle": (0.0, 0.0, 0.0), "10 mm aside": (10.0, -3.0, 0.5)}.items():
-        with _points([point]) as path:
+        with point_scatterers([point]) as path:
             bench = Bench(laser={"beam_radius": np.inf}, target=_only(path))
             yield same_field("one scatterer", f"field of a point {name}", *against_exact_sum(bench), TOLERANCE)
             modulus = np.abs(bench.with_(detector={"width": 1, "height": 1}).field()[0, 0])
@@ -110,7 +110,7 @@ def two_scatterers(quick: bool):
     for separation in (0.01, 1.0):
         spacing = WAVELENGTH * 60.0 / separation
         pitch = spacing / 16.3
-        with _points([(-separation / 2, 0, 0), (separation / 2, 0, 0)]) as path:
+        with point_scatterers([(-separation / 2, 0, 0), (separation / 2, 0, 0)]) as path:
             bench = Bench(
                 laser_angle=0.0, laser={"beam_radius": np.inf, "wavefront_radius": np.inf}, target=_only(path),
                 detector={"width": 256, "height": 1, "pixel_pitch": pitch},
@@ -158,7 +158,7 @@ def _write_cap(path: Path, radius: float) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
-class _points:
+class point_scatterers:
     """A CSV file of scatterers for the length of a block."""
 
     def __init__(self, points) -> None:
