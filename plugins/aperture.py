@@ -58,7 +58,7 @@ from speckle_mi.parameters import SceneError, check_number, describe, read_choic
 from speckle_mi.placement import Placement
 
 _SIZES = {"circle": ("radius",), "rectangle": ("width", "height")}
-_SIZE = {"above": 0.0, "at_most": 1e5, "unit": "mm"}
+_SIZE = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
 
 
 class Aperture(mi.Mesh):

@@ -62,7 +62,7 @@ class Coherent(mi.SamplingIntegrator):
             method=read_choice(props, "method", "auto", _METHODS),
             tolerance=read_number(props, "tolerance", 1e-4, at_least=1e-8, at_most=1e-1),
             diffraction=read_boolean(props, "diffraction", True),
-            rays_per_source=read_integer(props, "rays_per_source", 1500, at_least=4, at_most=10**8),
+            rays_per_source=read_integer(props, "rays_per_source", 1500, at_least=4, at_most=10**6),
         )
         super().__init__(props)
 

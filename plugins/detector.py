@@ -50,7 +50,7 @@ from speckle_mi.geometry import PlaneGrid
 from speckle_mi.parameters import SceneError, check_number, describe, read_number, stored, value_of
 from speckle_mi.placement import Placement
 
-_PITCH = {"above": 0.0, "at_most": 1e3, "unit": "mm"}
+_PITCH = {"at_least": 1e-6, "at_most": 1e3, "unit": "mm"}
 
 
 class Detector(mi.Sensor):

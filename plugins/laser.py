@@ -55,8 +55,8 @@ from speckle_mi.parameters import SceneError, check_number, describe, read_numbe
 from speckle_mi.placement import Placement
 
 _LIMITS = {
-    "wavelength": {"above": 0.0, "at_most": 1e6, "unit": "nm"},
-    "beam_radius": {"above": 0.0, "infinite": True, "unit": "mm"},
+    "wavelength": {"at_least": 1.0, "at_most": 1e6, "unit": "nm"},
+    "beam_radius": {"at_least": 1e-6, "at_most": 1e5, "infinite": True, "unit": "mm"},
     "wavefront_radius": {"infinite": True, "unit": "mm"},
 }
 

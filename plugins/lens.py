@@ -65,7 +65,7 @@ from speckle_mi.optics.surfaces import Circle, Surface
 from speckle_mi.parameters import SceneError, check_number, describe, read_number, stored, value_of
 from speckle_mi.placement import Placement
 
-_LENGTH = {"above": 0.0, "at_most": 1e5, "unit": "mm"}
+_LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
 _LIMITS = {
     "radius1": {"unit": "mm"},
     "radius2": {"unit": "mm"},

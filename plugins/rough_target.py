@@ -88,7 +88,9 @@ _LIMITS = {
     "roughness": {"at_least": 0.0, "at_most": 1e6, "unit": "um"},
     "correlation_length": {"at_least": 0.0, "at_most": 1e9, "unit": "um"},
 }
-_SIZE = {"above": 0.0, "at_most": 1e5, "unit": "mm"}
+_SIZE = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
+_SHORTEST = 1e-3
+"""Least correlation length [um] other than 0: below the distance of atoms there is none."""
 _LARGEST_SEED = 2**63 - 1
 
 
@@ -98,6 +100,7 @@ class RoughTarget(mi.Mesh):
         self.placement = Placement(props)
         self.roughness = stored(read_number(props, "roughness", 0.0, **_LIMITS["roughness"]))
         self.correlation_length = stored(read_number(props, "correlation_length", 0.0, **_LIMITS["correlation_length"]))
+        self._check_correlation()
         self.point_sources = read_integer(props, "point_sources", 100, at_least=1, at_most=10**15)
         seed = read_integer(props, "seed", 0, at_least=0, at_most=_LARGEST_SEED)
         self.seed = mi.UInt64(seed)
@@ -132,6 +135,13 @@ class RoughTarget(mi.Mesh):
             return None
         return PointScatterers(*points_from_csv(resolve(props, "points"), self.where))
 
+    def _check_correlation(self) -> None:
+        if 0 < value_of(self.correlation_length) < _SHORTEST:
+            raise SceneError(
+                f"{self.where}: parameter 'correlation_length' is {value_of(self.correlation_length):g} um, "
+                f"must be 0 (independent heights) or at least {_SHORTEST:g} um"
+            )
+
     def _place(self) -> Frame:
         return self.placement.frame.moved(self.pose())
 
@@ -144,6 +154,7 @@ class RoughTarget(mi.Mesh):
     def parameters_changed(self, keys) -> None:
         for name, limits in _LIMITS.items():
             check_number(self.where, name, value_of(getattr(self, name)), **limits)
+        self._check_correlation()
         self.placement.parameters_changed(keys, self.where)
         keys = list(keys)
         if {"to_world", *DEGREES_OF_FREEDOM}.intersection(keys):

@@ -8,6 +8,7 @@ Importing this package makes its plugins known to Mitsuba (``laser``, ``rough_ta
     image = mitsuba.render(mitsuba.load_file("scene.xml"))
 """
 
+import os as _os
 from pathlib import Path as _Path
 
 from . import llvm as _llvm
@@ -20,6 +21,10 @@ if (_root / "plugins" / "coherent.py").is_file():
     __path__.append(str(_root))
 
 _llvm.prefer_packaged_library()
+
+# FINUFFT's OpenMP threads would otherwise spin while they wait, and take the cores from NumPy's and Dr.Jit's threads:
+# up to ten times slower on a machine that does anything else. Read when OpenMP is loaded, which is later than here.
+_os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 from .registration import follow_mitsuba as _follow_mitsuba  # noqa: E402  (after the search path is complete)
 

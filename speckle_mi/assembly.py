@@ -17,14 +17,23 @@ import numpy as np
 from .elements import Element, elements_of
 from .geometry import Frame, PlaneGrid, Pose
 from .illumination import Beam
+from .memory import excess
 from .parameters import SceneError, integer_of, value_of
 from .surface import PointScatterers, RoughSurface
 
-MAX_SAMPLES = 4096
-"""Most sub-pixels a pixel: 64 x 64."""
-
 GRAZING = 1e-9
 """Cosine of the angle of incidence below which the beam cannot light the target."""
+
+
+_ON_SURFACE = 1e-9
+"""Depth in a glass, relative to its size, up to which a point still counts as on its surface."""
+
+
+MAX_SUB_PIXELS = 10_000
+"""Most sub-pixels a pixel: as many fields are computed."""
+
+BYTES_PER_PIXEL = 40
+"""Memory of one frame at its peak: the field (16), its intensity (4), a working copy (16) and what is done in tiles."""
 
 
 @dataclass(frozen=True)
@@ -153,8 +162,11 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
     for emitter in scene.emitters():
         if emitter is not laser:
             raise SceneError(f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: its light would be left out, remove it")
+    _require_memory(detector)
     elements = tuple(elements_of(scene, target))
     beam, target = _aim(laser.beam(), target)
+    _require_in_air(elements, f"{detector.where}: the detector's centre", detector.grid().centre)
+    _require_in_air(elements, f"{target.shape.where}: the middle of the spot", target.spot)
     return Assembly(
         beam=beam,
         target=target,
@@ -165,6 +177,38 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
         sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
         scene=scene,
     )
+
+
+def _require_memory(detector: mi.Sensor) -> None:
+    """SceneError where one image alone would take more memory than the machine has."""
+    columns, rows = (int(n) for n in detector.film().size())
+    if too_much := excess(BYTES_PER_PIXEL * columns * rows):
+        raise SceneError(f"{detector.where}: {columns} x {rows} pixels {too_much}: set a smaller width or height")
+
+
+def _require_in_air(elements: tuple[Element, ...], what: str, point: np.ndarray) -> None:
+    """SceneError where a point (3,) lies inside a glass, where no way of the light begins or ends."""
+    for element in elements:
+        if element.kind == "glass" and _is_inside(element, point):
+            raise SceneError(f"{what} lies inside the glass of {element.name!r}, must lie outside")
+
+
+def _is_inside(element: Element, point: np.ndarray) -> bool:
+    """Whether a point (3,) lies between the faces of a glass, by more than rounding."""
+    if element.closed:
+        face = element.faces[0]
+        centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+        return float(np.linalg.norm(point - centre)) < (1 - _ON_SURFACE) / abs(face.curvature)
+    middle = np.mean([face.frame.origin for face in element.faces], axis=0)
+    depths = []
+    for face in element.faces:
+        (x, y, z), (_, _, inwards) = face.frame.to_local(np.array([point, middle]))
+        root = 1 - (1 + face.conic) * face.curvature**2 * (x * x + y * y)
+        if root < 0 or np.any(face.outline.margins(x, y) < 0):
+            return False
+        sag = face.curvature * (x * x + y * y) / (1 + np.sqrt(root))
+        depths.append((z - sag) * np.sign(inwards))
+    return min(depths) > _ON_SURFACE * element.size
 
 
 def _only(candidates: list, kind: str, role: str, plugin: str):
@@ -179,9 +223,9 @@ def _only(candidates: list, kind: str, role: str, plugin: str):
 
 
 def _sub_pixels(samples: int) -> int:
-    """Side of the square of sub-pixels that holds at least ``samples`` of them."""
-    if not 1 <= samples <= MAX_SAMPLES:
-        raise SceneError(f"samples a pixel (sample_count, --spp) are {samples}, must be 1 to {MAX_SAMPLES}")
+    """Side of the square of sub-pixels that holds at least ``samples`` of them. SceneError for too many."""
+    if samples > MAX_SUB_PIXELS:
+        raise SceneError(f"{samples} sub-pixels a pixel (spp, sample_count): must be at most {MAX_SUB_PIXELS}")
     return max(1, int(np.ceil(np.sqrt(samples) - 1e-9)))
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import csv
 import gc
 import os
+import re
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -31,13 +32,17 @@ PAPER_RAYS = 1500
 """Rays a source in Opt. Eng. 61(6) 061410 (2022), doi:10.1117/1.OE.61.6.061410."""
 RAYS = (16, 36, 64, 100, 400, PAPER_RAYS, 3000)
 METHODS = ("auto", "direct", "fast", "rays")
+SHARES = {"exact": 0.12, "auto": 0.22, "direct": 0.08, "fast": 0.16, "rays": 0.22, "surfaces": 0.2}
+"""Of the time, in the order in which it is spent; what a part leaves over goes to those after it."""
+SHARE_OF_ONE = 2 / 3
+"""Of a part's time left that one N1 may take, so that the larger ones, which take longest, get their turn."""
 DIRECT_TOLERANCE = 1e-6
 """What ``direct`` is asked for behind openings, where it says how finely they are divided."""
 
-QUICK = {"point_sources": (10, 100), "tolerances": (1e-1, 1e-3, 1e-5, 1e-7), "rays": (16, 64), "surfaces": 6, "seconds": 24.0}
+QUICK = {"point_sources": (10, 100), "tolerances": (1e-1, 1e-3, 1e-5, 1e-7), "rays": (16, 64), "surfaces": 6, "seconds": 30.0}
 FULL = {"point_sources": POINT_SOURCES, "tolerances": TOLERANCES, "rays": RAYS, "surfaces": 24, "seconds": 240.0}
 
-WARM_RUNS, WARM_SECONDS = 7, 1.5
+WARM_RUNS, WARM_SECONDS = 7, 0.6
 """Warm runs of a setting, fewer where they take longer than this together; one is always made."""
 
 SHARE_OF_RADIUS = 0.1
@@ -46,7 +51,9 @@ SHARE_OF_RADIUS = 0.1
 SAMPLED_PAIRS, SAMPLED_PIXELS = 30_000_000, (12, 300)
 """Pairs spent on the exact sum, as far as fewest and most sampled pixels allow."""
 
-EXACT_TOLERANCE = 1e-8
+EXACT_TOLERANCES = (1e-7, 1e-6)
+"""Of the exact field behind elements; the second where the first would take too long."""
+PAIRS_PER_SECOND = 1e9
 BRIGHT = 0.1
 """Intensity, relative to the mean, from which the phase of a pixel counts."""
 
@@ -132,6 +139,7 @@ class Sample:
     scatterers: int
     origin: str
     seconds: float
+    tolerance: float
 
     def errors(self, field: np.ndarray) -> tuple[float, float]:
         """Relative L2 error of a whole field (rows, columns), and rms error of its phase [wavelengths] where bright."""
@@ -157,7 +165,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     assembly = assembly_from_scene(scene)
     folder.mkdir(parents=True, exist_ok=True)
-    study = Study(assembly, Path(options.scene).stem, settings, Allowance(settings["seconds"], len(METHODS) + 1))
+    study = Study(assembly, Path(options.scene).stem, settings, Allowance(settings["seconds"]))
     with _progress(options.quiet) as progress:
         rows = study.every_method(progress)
         scatter = study.scatter_over_surfaces(progress)
@@ -185,7 +193,7 @@ def _parser():
     parser.add_argument("--point-sources", metavar="10,100,...", help="values of N1 (default: 10 to 1000000, quick: 10, 100)")
     parser.add_argument(
         "--seconds", type=float, default=None,
-        help="what the measurements may take; what would take longer is left out (default: 240, quick: 24)",
+        help="what the measurements may take; what would take longer is left out (default: 240, quick: 30)",
     )
     parser.add_argument("--quick", action="store_true", help="few values of everything")
     return parser
@@ -219,32 +227,42 @@ def with_point_sources(assembly, count: int):
 
 
 class Allowance:
-    """Time [s] for so many parts: each may take an equal share of what the parts before it have left."""
+    """Time [s] in parts: each may take its share, as in :data:`SHARES`, of what the parts before it have left."""
 
-    def __init__(self, seconds: float, parts: int) -> None:
-        self.end, self.parts = time.perf_counter() + seconds, parts
+    def __init__(self, seconds: float) -> None:
+        self.end, self.waiting = time.perf_counter() + seconds, dict(SHARES)
 
-    def begin_part(self) -> None:
+    def begin_part(self, name: str) -> None:
+        """Starts a part; whatever it may take is ``left``, and a step of it ``step_left``."""
+        share = self.waiting[name] / sum(self.waiting.values())
+        del self.waiting[name]
         now = time.perf_counter()
-        self.part_end = now + max(self.end - now, 0.0) / max(self.parts, 1)
-        self.parts -= 1
+        self.part_end = self.step_end = now + share * max(self.end - now, 0.0)
+
+    def begin_step(self, share: float) -> None:
+        """Starts a step of the part, which may take ``share`` of what is left of it."""
+        self.step_end = time.perf_counter() + share * max(self.left, 0.0)
 
     @property
     def left(self) -> float:
-        """What is left of this part's share [s]."""
         return self.part_end - time.perf_counter()
+
+    @property
+    def step_left(self) -> float:
+        return self.step_end - time.perf_counter()
 
 
 @dataclass(frozen=True)
 class Scatter:
     """How sensitivities scatter at one N1: slopes (surfaces,) [unit] of a motion along a detector axis.
 
-    spread: standard deviation over surfaces; theory: None where there is none.
+    step: displacement [mm or deg] forth and back; spread: standard deviation over surfaces; theory: None where there is none.
     """
 
     dof: str
     axis: str
     unit: str
+    step: float
     point_sources: int
     slopes: list[float]
     mean: float
@@ -289,11 +307,18 @@ class Study:
 
     def every_method(self, progress) -> list[Row]:
         """Rows of all methods, ordered by N1 and method; shift errors filled in."""
-        rows = []
+        rows: list[Row] = []
+        self.allowance.begin_part("exact")
+        task = progress.add_task("exact", total=len(self.point_sources))
+        for count in self.point_sources:
+            self.samples[count] = self._exact(count)
+            progress.advance(task)
         for method in METHODS:
             accuracies = self._accuracies(method)
             task = progress.add_task(method, total=len(self.point_sources) * len(accuracies))
-            self.allowance.begin_part()
+            self.allowance.begin_part(method)
+            if method == "direct":
+                self._nodes = _nodes_behind_openings(rows)
             rows += self._one_method(method, accuracies, lambda: progress.advance(task))
         rows.sort(key=lambda row: (row.point_sources, METHODS.index(row.method)))
         return self._with_shift_errors(rows)
@@ -309,6 +334,7 @@ class Study:
         rows: list[Row] = []
         history: dict[int, list[tuple[int, float]]] = {}
         for count in self.point_sources:
+            self.allowance.begin_step(1.0 if count == self.point_sources[-1] else SHARE_OF_ONE)
             for number, accuracy in enumerate(accuracies):
                 row = self._one_setting(Setting(method, count, **accuracy), history, number)
                 rows.append(row)
@@ -319,14 +345,16 @@ class Study:
 
     def _one_setting(self, setting: Setting, history: dict[int, list[tuple[int, float]]], number: int) -> Row:
         """One row; ``history`` holds (N1, seconds a frame) of what the method did at each accuracy."""
-        sample = self._exact(setting.point_sources)
+        sample = self.samples[setting.point_sources]
         seconds = _predicted(setting, history.get(number) or history.get(number - 1))
+        if setting.method == "direct" and not history:
+            seconds = self._nodes * self.assembly.detector.size / PAIRS_PER_SECOND
         blank = Row(self.name, "", **asdict(setting), scatterers=sample and sample.scatterers, status=LEFT_OUT)
         if sample is None:
             return replace(blank, note="the exact sum to compare with would take too long")
-        if 2 * seconds > self.allowance.left:
-            note = f"about {_duration(seconds)} a frame" if seconds else "its time was used up"
-            return replace(blank, note=f"{note}: raise --seconds")
+        if 2 * seconds > self.allowance.step_left:
+            note = f"would take about {_duration(seconds)} a frame" if seconds else "no time left"
+            return replace(blank, note=note)
         try:
             row, used = self._measured(setting, blank, sample)
         except ValueError as error:
@@ -346,7 +374,7 @@ class Study:
             rest = simulate_frame(assembly, poses[0])
             first = time.perf_counter() - begin
         times: list[float] = []
-        while not times or (len(times) < WARM_RUNS and sum(times) + times[-1] < min(WARM_SECONDS, self.allowance.left)):
+        while not times or (len(times) < WARM_RUNS and sum(times) + times[-1] < min(WARM_SECONDS, self.allowance.step_left)):
             begin = time.perf_counter()
             frame = simulate_frame(assembly, poses[(len(times) + 1) % 2])
             times.append(time.perf_counter() - begin)
@@ -367,13 +395,17 @@ class Study:
         return row, quartiles[0]
 
     def _exact(self, count: int) -> Sample | None:
-        """The exact sample at N1, made once; None where it would take too long."""
-        if count not in self.samples:
-            before = [(n, sample) for n, sample in self.samples.items() if sample is not None]
-            seconds = before[-1][1].seconds * count / before[-1][0] if before else 0.0
-            too_long = seconds > self.settings["seconds"] / 4 or None in self.samples.values()
-            self.samples[count] = None if too_long else exact_sample(with_point_sources(self.assembly, count))
-        return self.samples[count]
+        """The exact sample at N1; None where it would take too long."""
+        assembly = with_point_sources(self.assembly, count)
+        before = [(n, sample) for n, sample in self.samples.items() if sample is not None]
+        tolerance = EXACT_TOLERANCES[0]
+        if before and self.assembly.elements:
+            tolerance = before[-1][1].tolerance
+            if before[-1][1].seconds * count / before[-1][0] > self.allowance.left:
+                tolerance = EXACT_TOLERANCES[1]
+        if self.allowance.left <= 0 and before:
+            return None
+        return exact_sample(assembly, tolerance)
 
     def _with_shift_errors(self, rows: list[Row]) -> list[Row]:
         """Rows with the errors of their shifts, the best field of every N1 taken for exact."""
@@ -394,7 +426,7 @@ class Study:
 
     def scatter_over_surfaces(self, progress) -> list[Scatter]:
         """Slopes of a translation and a rotation, on as many surfaces as there is time for (at least two)."""
-        self.allowance.begin_part()
+        self.allowance.begin_part("surfaces")
         if self.assembly.target.points is not None:
             return []  # the user's own scatterers are one surface
         counts = [n for n in SCATTER_SOURCES if n <= max(self.point_sources)] or [self.point_sources[0]]
@@ -412,7 +444,7 @@ class Study:
                     slopes[dof, count].append(slope)
             longest = max(longest if number > 1 else 0.0, time.perf_counter() - begin)  # the first one compiles
             progress.advance(task)
-        return [self._scatter(dof, count, np.array(values)) for (dof, count), values in slopes.items()]
+        return [self._scatter(dof, count, steps[dof], np.array(values)) for (dof, count), values in slopes.items()]
 
     def _rotation(self) -> float:
         """Rotation [deg] that moves the pattern about as far as the displacement along x does."""
@@ -435,7 +467,7 @@ class Study:
             found[dof] = ((forth.u_px - back.u_px) * scale, (forth.v_px - back.v_px) * scale)
         return found
 
-    def _scatter(self, dof: str, count: int, slopes: np.ndarray) -> Scatter:
+    def _scatter(self, dof: str, count: int, step: float, slopes: np.ndarray) -> Scatter:
         slopes = slopes[np.all(np.isfinite(slopes), axis=1)]
         number = {"x": 0, "ry": 4}[dof]
         expected = [None if values is None else float(values[number]) for values in self.expected.values()]
@@ -444,15 +476,15 @@ class Study:
         values = slopes[:, k]
         mean = float(values.mean()) if len(values) else np.nan
         spread = float(np.std(values, ddof=1)) if len(values) > 1 else np.nan
-        return Scatter(dof, "uv"[k], "mm/deg" if dof == "ry" else "mm/mm", count, values.tolist(), mean, spread, expected[k])
+        unit = "mm/deg" if dof == "ry" else "mm/mm"
+        return Scatter(dof, "uv"[k], unit, step, count, values.tolist(), mean, spread, expected[k])
 
 
-def exact_sample(assembly) -> Sample:
+def exact_sample(assembly, tolerance: float) -> Sample:
     """The exact field of an assembly at rest on evenly spread pixels, by a way of its own.
 
     In free space the float64 sum over all scatterers as it stands, in NumPy. With elements a sum on those pixels alone
-    to 1e-8 (1e-7 from a thousand scatterers), its openings divided accordingly, each stage checked against its own exact
-    sum on sampled points.
+    to ``tolerance``, its openings divided accordingly, each stage checked against its own exact sum on sampled points.
     """
     from .lobe import lobe_towards
     from .propagation import FreeSpace
@@ -474,19 +506,18 @@ def exact_sample(assembly) -> Sample:
             field = field * lobe_towards(assembly, assembly.target.frame, points - assembly.target.spot)
         origin, scatterers = "float64 sum in NumPy", lit.count
     else:
-        tolerance = EXACT_TOLERANCE if assembly.target.surface.density * np.pi * _lit_radius(assembly) ** 2 < 1e3 else 1e-7
         frame = simulate_frame(
             replace(assembly, detector=grid).with_options(method="auto", tolerance=tolerance), Pose()
         )
         field, scatterers = frame.image.field, frame.scatterers.count
         origin = f"sum on the sampled pixels to {tolerance:.0e}, its own error {frame.numerical_error:.0e}"
-    return Sample(first, step, field.reshape(grid.shape), scatterers, origin, time.perf_counter() - begin)
+    return Sample(first, step, field.reshape(grid.shape), scatterers, origin, time.perf_counter() - begin, tolerance)
 
 
-def _lit_radius(assembly) -> float:
-    """Radius [mm] of the beam's footprint, of the whole target where the beam has none."""
-    radius = assembly.beam.radius
-    return float(radius if np.isfinite(radius) else np.sqrt(assembly.target.surface.facets.area.sum() / np.pi))
+def _nodes_behind_openings(rows: list[Row]) -> int:
+    """Nodes on the last opening, as the plans of finished rows tell; 0 without an opening."""
+    found = [re.findall(r", (\d+) nodes:", row.plan) for row in rows if row.plan]
+    return max((int(nodes[-1]) for nodes in found if nodes), default=0)
 
 
 def _every(grid: PlaneGrid, first: int, step: int) -> PlaneGrid:
@@ -617,8 +648,21 @@ def _plot_convergence(path: Path, rows: list[Row], title: str) -> None:
     for panel in panels[:, 0]:
         panel.set_ylabel("relative error of the field")
     figure.suptitle(title, x=0.01, ha="left", fontsize=plots.FONT + 1)
-    plots._legend_above(figure, *panels.flat, columns=2)
+    _legend_below(figure, *panels.flat, columns=2)
     plots._write(figure, path)
+
+
+def _legend_below(figure, *axes, columns: int) -> None:
+    """One legend for all axes below them, so that the title has the space above."""
+    from .plots import FONT
+
+    entries: dict[str, object] = {}
+    for panel in axes:
+        for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    if entries:
+        style = {"frameon": False, "fontsize": FONT - 1, "handlelength": 1.8, "columnspacing": 1.6}
+        figure.legend(entries.values(), entries.keys(), loc="outside lower left", ncols=columns, **style)
 
 
 def _draw_method(panel, rows: list[Row], method: str) -> None:
@@ -646,11 +690,15 @@ def _power(count: int) -> str:
 
 def _plot_scatter(path: Path, scatter: list[Scatter], name: str) -> None:
     """Left: the mean's statistical error against the number of surfaces. Right: one surface's against N1."""
+    from matplotlib.ticker import FixedLocator, NullLocator
+
     from . import plots
 
     figure = plots._figure(8.4, 4.2)
     left, right = figure.subplots(1, 2, sharey=True)
-    usable = [entry for entry in scatter if np.isfinite(entry.spread) and entry.scale > 0 and entry.spread > 0]
+    # Relative to a sensitivity of next to nothing, such as that of a focused image to tilt, no error means anything.
+    moved = max((entry.scale * entry.step for entry in scatter if np.isfinite(entry.scale)), default=0.0)
+    usable = [entry for entry in scatter if entry.spread > 0 and entry.scale * entry.step > 0.1 * moved]
     shades = ("#E69F00", "#CC79A7", "#56B4E9", "#0072B2")
     markers = "sv^o"
     for axes in (left, right):
@@ -658,12 +706,12 @@ def _plot_scatter(path: Path, scatter: list[Scatter], name: str) -> None:
         axes.spines[["top", "right"]].set_visible(False)
         axes.grid(color="0.92", linewidth=0.7)
         axes.tick_params(labelsize=plots.FONT - 1)
-    for number, entry in enumerate(e for e in usable if e.dof == "x"):
+    for number, entry in enumerate(entry for entry in usable if entry.dof == "x"):
         sizes, spread, own = entry.of_means()
         percent = 100 / entry.scale
         style = {"color": shades[number % 4], "markersize": 5, "capsize": 2.5, "elinewidth": 1}
         left.errorbar(sizes, percent * spread, percent * spread * own, fmt=markers[number % 4],
-                      label=f"motion x, $N_1$ = {_power(entry.point_sources)}", **style)  # fmt: skip
+                      label=f"mean, motion along x, $N_1$ = {_power(entry.point_sources)}", **style)  # fmt: skip
         left.plot(sizes, percent * entry.spread / np.sqrt(sizes), color=shades[number % 4], linewidth=1)
     for dof, colour, marker in (("x", plots.MEAN, "o"), ("ry", plots.THEORY, "s")):
         own = [entry for entry in usable if entry.dof == dof]
@@ -678,23 +726,16 @@ def _plot_scatter(path: Path, scatter: list[Scatter], name: str) -> None:
     for axes in (left, right):
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
         axes.yaxis.set_minor_formatter("")
-    left.xaxis.set_major_locator(plots_ticks(usable))
+    left.xaxis.set_major_locator(FixedLocator(sorted({int(n) for entry in usable for n in entry.of_means()[0]}) or [1]))
     left.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-    left.xaxis.set_minor_locator(plots_ticks([]))
+    left.xaxis.set_minor_locator(NullLocator())
     left.set_xlabel("surfaces averaged (lines: $1/\\sqrt{n}$)")
     right.set_xlabel("point sources $N_1$ inside the beam's radius")
     left.set_ylabel("statistical error of the sensitivity (%)")
     surfaces = max((len(entry.slopes) for entry in scatter), default=0)
     figure.suptitle(f"{name}: scatter of the sensitivity over {surfaces} surfaces", x=0.01, ha="left", fontsize=plots.FONT + 1)
-    plots._legend_above(figure, left, right, columns=3)
+    _legend_below(figure, left, right, columns=3)
     plots._write(figure, path)
-
-
-def plots_ticks(scatter: list[Scatter]):
-    """Ticks at the numbers of surfaces that were averaged."""
-    from matplotlib.ticker import FixedLocator
-
-    return FixedLocator(sorted({int(size) for entry in scatter for size in entry.of_means()[0]}))
 
 
 # Words
@@ -705,16 +746,17 @@ def _print_report(study: Study, rows: list[Row], scatter: list[Scatter], system:
     from rich.console import Console
     from rich.table import Table
 
-    console = Console(width=None if os.isatty(1) else 150, highlight=False)
+    console = Console(width=None if os.isatty(1) else 140, highlight=False)
     for line in study.plan_lines:
         console.print(f"plan: {line}", markup=False)
-    table = Table(title=f"Error against run time, {study.name}", box=box.SIMPLE_HEAD, title_justify="left")
-    heads = ("N1", "method", "tolerance or N2", "field error", "phase (waves)", "shift (um)", "from theory",
-             "frame", "quartiles", "runs", "first", "peak MB")  # fmt: skip
+    table = Table(title=f"{study.name}: errors of field, phase and shift; warm and first run times; peak memory", box=box.SIMPLE_HEAD, title_justify="left")
+    heads = ("N1", "method", "tol. or N2", "field", "phase (waves)", "shift (um)", "- theory", "frame (ms)", "quartiles",
+             "runs", "first", "MB")  # fmt: skip
     for number, head in enumerate(heads):
         table.add_column(head, justify="left" if number in (1, 2) else "right", no_wrap=True)
-    for number, row in enumerate(rows):
-        ends = number + 1 == len(rows) or rows[number + 1].point_sources != row.point_sources
+    shown = [row for row in rows if row.status == MEASURED]
+    for number, row in enumerate(shown):
+        ends = number + 1 == len(shown) or shown[number + 1].point_sources != row.point_sources
         table.add_row(*_cells(row), end_section=ends)
     console.print(table)
     for words in _notes(rows):
@@ -726,26 +768,27 @@ def _print_report(study: Study, rows: list[Row], scatter: list[Scatter], system:
 
 
 def _cells(row: Row) -> list[str]:
-    start = [f"{row.point_sources:,}", row.method, row.accuracy]
-    if row.status != MEASURED:
-        return [*start, row.status, *[""] * 8]
-    quartiles = f"{_duration(row.seconds_q1)} - {_duration(row.seconds_q3)}" if row.runs and row.runs > 1 else ""
+    """The cells of a row that was measured."""
+    quartiles = f"{_ms(row.seconds_q1)} - {_ms(row.seconds_q3)}" if row.runs > 1 else ""
+    shift = "lost" if row.shift_u_um is None else "exact" if row.shift_error_um is None else _sig(row.shift_error_um)
     return [
-        *start, _sig(row.field_error), _sig(row.phase_error_wavelengths),
-        _sig(row.shift_error_um) or ("exact" if row.shift_u_um is not None else "lost"), _sig(row.shift_theory_error_um),
-        _duration(row.seconds_median), quartiles, str(row.runs), _duration(row.seconds_first),
+        f"{row.point_sources:,}", row.method, row.accuracy, _sig(row.field_error), _sig(row.phase_error_wavelengths),
+        shift, _sig(row.shift_theory_error_um), _ms(row.seconds_median), quartiles, str(row.runs), _ms(row.seconds_first),
         "" if row.peak_memory_mb is None else f"{row.peak_memory_mb:.0f}",
     ]  # fmt: skip
 
 
 def _notes(rows: list[Row]) -> list[str]:
     """What was left out and why, a line for each method and N1; warnings of what was measured, once each."""
-    left: dict[tuple[str, int], list[Row]] = {}
+    groups: dict[tuple[str, int], list[Row]] = {}
     for row in rows:
         if row.status != MEASURED:
-            left.setdefault((row.method, row.point_sources), []).append(row)
-    lines = [f"{method}, N1 = {count:,}, {group[0].status} ({len(group)}): {group[-1].note}"
-             for (method, count), group in left.items()]  # fmt: skip
+            groups.setdefault((row.method, row.point_sources), []).append(row)
+    lines = []
+    for (method, count), group in groups.items():
+        which = f", {group[0].accuracy}" + (f" to {group[-1].accuracy}" if len(group) > 1 else "") if group[0].accuracy else ""
+        what = method if group[0].status == DOES_NOT_APPLY else f"{method}, N1 = {count:,}{which}"
+        lines.append(f"{what}: {group[0].status}, {group[0].note}")
     return lines + sorted({f"{row.method}: {row.note}" for row in rows if row.status == MEASURED and row.note})
 
 
@@ -780,10 +823,15 @@ def _sig(value: float | None) -> str:
     return "" if value is None or not np.isfinite(value) else f"{value:.1e}"
 
 
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:,.3g}" if seconds < 1 else f"{1e3 * seconds:,.0f}"
+
+
 def _duration(seconds: float) -> str:
-    if seconds < 1:
-        return f"{1e3 * seconds:.3g} ms"
-    return f"{seconds:.3g} s" if seconds < 100 else f"{seconds / 60:.3g} min"
+    for unit, size, limit in (("ms", 1e-3, 1.0), ("s", 1.0, 100.0), ("min", 60.0, 6e3), ("h", 3600.0, 2e5)):
+        if seconds < limit:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 86400:.3g} days"
 
 
 if __name__ == "__main__":

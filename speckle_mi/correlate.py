@@ -32,6 +32,15 @@ DEFAULT_WINDOW = 256
 WINDOW_SHARE = 0.625
 """Largest part of an image's side the window takes, so that there is room to search."""
 
+SMALLEST_WINDOW = 48
+"""Side below which a window is not shrunk to the light [px]."""
+
+LIT_CORNERS = 0.5
+"""Least mean intensity in the four quarter-size corners of a window, relative to the whole, for it to count as lit."""
+
+SHRINKING = 0.9
+"""Factor from one window tried to the next smaller one."""
+
 FALSE_ALARM = 1e-3
 """Probability that two unrelated patterns are given a shift; each of the two stages gets half."""
 
@@ -294,11 +303,26 @@ def _argmax(surface: np.ndarray) -> tuple[int, int]:
     return int(row), int(column)
 
 
+def _lit_window(image: np.ndarray, window: tuple[int, int]) -> tuple[int, int]:
+    """The window (rows, columns) at the image's middle, shrunk in steps until its corners are lit like the rest."""
+    share = 1.0
+    while True:
+        sides = tuple(max(math.ceil(share * side), min(SMALLEST_WINDOW, side)) for side in window)
+        top, left = ((n - w) // 2 for n, w in zip(image.shape, sides, strict=True))
+        piece = image[top : top + sides[0], left : left + sides[1]]
+        a, b = (max(1, side // 4) for side in sides)
+        corners = np.mean([piece[:a, :b].mean(), piece[:a, -b:].mean(), piece[-a:, :b].mean(), piece[-a:, -b:].mean()])
+        if corners >= LIT_CORNERS * piece.mean() or share < SHRINKING**12:
+            return sides if corners >= LIT_CORNERS * piece.mean() else window
+        share *= SHRINKING
+
+
 class Correlator:
     """Measures shifts against one reference, whose transforms are made once.
 
     reference: (rows, columns) intensity. window: side of the square window at its middle [px], clipped to 5/8 of a
-    shorter side of the image; without it 256, clipped on both sides alike. Raises ValueError for pixels that are not
+    shorter side of the image; without it 256, clipped on both sides alike and shrunk to where the light is: an edge of
+    the light stands still when the pattern moves, and would hold the peak back. Raises ValueError for pixels that are not
     finite and for a window below 4 or larger than the image.
     """
 
@@ -314,6 +338,8 @@ class Correlator:
             window if window is not None and window <= n else min(window or DEFAULT_WINDOW, math.ceil(WINDOW_SHARE * n))
             for n in self.shape
         )
+        if window is None:
+            self.window = _lit_window(image, self.window)
         self._corner = tuple((n - w) // 2 for n, w in zip(self.shape, self.window))
         self._reference = deviation(image)
         self._central = self._texture = None

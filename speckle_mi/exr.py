@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,9 +15,16 @@ import numpy as np
 import OpenEXR
 
 from .files import replacing
+from .memory import excess
 
 _DETAILS = "speckle_mi"
 _LARGEST_INT = 2**31 - 1
+
+LARGEST_RATIO = 2000
+"""Largest ratio of an image's values to the file that holds them, both in bytes."""
+
+_BYTES_WHILE_READING = 8
+"""Memory of one value while it is read: as it comes and as it is kept, both single precision."""
 
 
 class FieldImageError(ValueError):
@@ -59,12 +70,8 @@ def read_field(path: str | os.PathLike) -> FieldImage:
         raise FieldImageError(f"{path}: there is no such file")
     if not OpenEXR.isOpenExrFile(str(path)):
         raise FieldImageError(f"{path}: not an OpenEXR file")
-    try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: channel.pixels for name, channel in file.channels().items()}
-            attributes = dict(file.header())  # the file empties its own when it is closed
-    except Exception as error:  # the reader raises RuntimeError, ValueError and others of its own
-        raise FieldImageError(f"{path}: cannot be read, the file is damaged or cut short ({error})") from None
+    with _library_muted():
+        channels, attributes = _read(path)
     complex_field = None
     if "E.re" in channels and "E.im" in channels:
         complex_field = channels["E.re"].astype(np.complex64)
@@ -77,6 +84,61 @@ def read_field(path: str | os.PathLike) -> FieldImage:
         names = ", ".join(sorted(channels)) or "none"
         raise FieldImageError(f"{path}: has the channels {names}, must have Y (intensity) or E.re and E.im (field)")
     return FieldImage(intensity, complex_field, _header(attributes))
+
+
+def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
+    """Pixels of every channel, and the attributes of the header."""
+    _check_size(path)
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: channel.pixels for name, channel in file.channels().items()}
+            return channels, dict(file.header())  # the file empties its own when it is closed
+    except Exception as error:  # the reader raises RuntimeError, ValueError and others of its own
+        raise FieldImageError(f"{path}: cannot be read, the file is damaged or cut short ({_first_line(error)})") from None
+
+
+@contextmanager
+def _library_muted() -> Iterator[None]:
+    """Keeps OpenEXR's own messages, which it prints besides raising an error, from standard output and error."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:
+            stream.flush()
+    kept = [(number, os.dup(number)) for number in (1, 2)]
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    try:
+        for number, _ in kept:
+            os.dup2(nowhere, number)
+        yield
+    finally:
+        if sys.platform != "win32":
+            ctypes.CDLL(None).fflush(None)  # what the library has written but not yet sent
+        for number, copy in kept:
+            os.dup2(copy, number)
+            os.close(copy)
+        os.close(nowhere)
+
+
+def _check_size(path: Path) -> None:
+    """FieldImageError where a file's header promises more pixels than the file can hold: the reader would take the memory."""
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            (left, top), (right, bottom) = (tuple(int(x) for x in corner) for corner in file.header()["dataWindow"])
+            channels = len(file.header()["channels"])
+    except Exception as error:
+        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
+    columns, rows, size = right - left + 1, bottom - top + 1, path.stat().st_size
+    # Two bytes a half-precision value, and no codec of OpenEXR packs a thousand of them into one.
+    if columns < 1 or rows < 1 or 2 * columns * rows * max(channels, 1) > LARGEST_RATIO * size:
+        raise FieldImageError(
+            f"{path}: cannot be read, its header says {columns} x {rows} pixels in {channels} channels, "
+            f"which {size} bytes cannot hold"
+        )
+    if too_much := excess(_BYTES_WHILE_READING * columns * rows * channels):
+        raise FieldImageError(f"{path}: its {columns} x {rows} pixels in {channels} channels {too_much}")
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def _attribute(value: object) -> object:

@@ -15,8 +15,9 @@ from .openings import opening_nodes
 from .optics.aim import aim
 from .optics.surfaces import Circle, Interaction, Sequence, Surface
 from .optics.trace import RayStatus, trace
+from .parameters import SceneError
 from .plan import Channel, Rim, detector_plane
-from .propagation import FreeSpace, RayleighSommerfeld, coherent_sum
+from .propagation import FreeSpace, RayleighSommerfeld, SumResult, coherent_sum
 from .propagation.chebyshev import chebyshev_nodes, interpolation_matrix
 from .ray_method import ray_field
 from .surface import Scatterers
@@ -57,9 +58,14 @@ def channel_field(
     tolerance = max(options.tolerance / (stops + 1), 1e-8)
     for number, rim in enumerate(channel.openings):
         targets = _next_targets(channel, number, grid)
-        nodes, areas = _nodes(channel, number, rim, _extremes(sources, axes), targets, wavelength, tolerance)
+        try:
+            nodes, areas = _nodes(channel, number, rim, _extremes(sources, axes), targets, wavelength, tolerance)
+        except ValueError as error:
+            raise SceneError(
+                f"opening {rim.name!r}: {error}; put a smaller stop, or set diffraction to false where there is no focus"
+            ) from None
         path = _path(channel, number, Interaction.through(Surface(rim.plane.frame), rim.index), opening, wavelength)
-        result = coherent_sum(path, sources, weights, nodes, wavelength, options.method, tolerance)
+        result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
         values = result.field
         if number == 0:
             values = values * _unshadowed(middle, channel, rim, nodes) * _lobe(assembly, frame, middle, channel, rim, nodes)
@@ -71,7 +77,7 @@ def channel_field(
         opening = (normal if normal @ towards > 0 else -normal, rim.index)
     path = _path(channel, stops, detector_plane(channel.grid), opening, wavelength)
     if stops or _is_clear(channel, sources, axes, grid):
-        result = coherent_sum(path, sources, weights, grid, wavelength, options.method, tolerance)
+        result = _summed(channel, path, sources, weights, grid, wavelength, options.method, tolerance)
         values, plan, error = result.field.reshape(grid.shape), result.plan, result.numerical_error
     else:
         values, plan, error = _shadowed_sum(assembly, channel, path, sources, weights, grid)
@@ -79,6 +85,18 @@ def channel_field(
         values = values * _lobe(assembly, frame, middle, channel, None, grid)
     lines.append(f"sum to the detector: {plan}")
     return ChannelField(values, tuple(lines), float(np.sqrt(np.sum(np.square([*errors, error])))))
+
+
+def _summed(channel: Channel, path, *arguments) -> SumResult:
+    """The coherent sum; where a traced path finds no ray, SceneError that says on which way and what to do."""
+    try:
+        return coherent_sum(path, *arguments)
+    except ValueError as error:
+        if not isinstance(path, TracedLeg):
+            raise
+        raise SceneError(
+            f"way {channel.route.label}: {error}: put an aperture that keeps the light off the edges, or move the detector"
+        ) from None
 
 
 def ray_channel(
@@ -124,7 +142,7 @@ def _nodes(
     going = k * (going @ tangents).reshape(len(samples), 1, -1, 2)
     gradient = (coming - going).reshape(len(samples), -1, 2)
     if not np.isfinite(gradient).any():
-        raise ValueError(f"opening {rim.name!r}: no ray leads over it from the spot to the detector")
+        raise ValueError("no ray leads over it from the spot to the detector")
     outline = rim.plane.outline
     if not isinstance(outline, Circle):
         bound = _GRADIENT_SAFETY * np.nanmax(np.abs(gradient), axis=(0, 1))

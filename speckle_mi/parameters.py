@@ -44,6 +44,8 @@ def check_number(
     number = float(value)
     if math.isnan(number) or (math.isinf(number) and not infinite):
         raise SceneError(f"{where}: parameter {name!r} is {number}, must be finite" + (f" and {wanted}" if limits else ""))
+    if infinite and number == math.inf:
+        return number
     outside = (
         (above is not None and not number > above)
         or (at_least is not None and not number >= at_least)

@@ -106,9 +106,11 @@ def make_plan(assembly: Assembly, frame: Frame) -> Plan:
         return Plan((), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",))
     channels = tuple(_channel(assembly, frame, route) for route in arrivals.routes)
     lines = [line for channel in channels for line in channel.lines]
-    if not arrivals.in_area:
-        lines.append("the geometric light passes beside the detector: only diffracted light can reach it")
-    return Plan(channels, tuple(lines))
+    if arrivals.in_area:
+        return Plan(channels, tuple(lines))
+    blocker = _main_blocker(arrivals.stopped)
+    lines.append("the geometric light passes beside the detector: only diffracted light can reach it")
+    return Plan(channels, tuple(lines), (f"no geometric light reaches the detector: {blocker}",))
 
 
 def _main_blocker(stopped) -> str:
@@ -173,12 +175,12 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
     """The openings to diffract at, and the reason in words."""
     if not channel.rims:
         return (), _without_rims(assembly, frame, channel)
-    geometric = _geometric_view(assembly, frame, channel)
+    geometric, why_not = _geometric_view(assembly, frame, channel)
     if not assembly.options.diffraction:
         if geometric is None:
             raise SceneError(
-                f"way {channel.route.label}: a focus lies at the detector, where the geometric field that "
-                "diffraction=false asks for is infinite: set diffraction to true, or move the detector"
+                f"way {channel.route.label}: {why_not}, where the geometric field that diffraction=false asks for "
+                "does not exist: set diffraction to true, or move the detector"
             )
         return (), "openings cast geometric shadows, as diffraction=false asks for"
     if geometric is not None:
@@ -196,7 +198,7 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
     if not limiting:
         if geometric is not None:
             return (), "diffracts nothing: no edge lies in the light"
-        raise SceneError(f"way {channel.route.label}: a focus lies at the detector but no opening limits the light: put an aperture")
+        raise SceneError(f"way {channel.route.label}: {why_not} but no opening limits the light: put an aperture")
     screens = [rim for rim in limiting if rim.is_screen]
     if channel.has_power:
         # Between curved surfaces one opening is enough: the others clip its nodes as geometric shadows.
@@ -212,8 +214,9 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
 def _without_rims(assembly: Assembly, frame: Frame, channel: Channel) -> str:
     if not channel.interactions:
         return "free space: the light meets nothing on this way"
-    if _geometric_view(assembly, frame, channel) is None:
-        raise SceneError(f"way {channel.route.label}: a focus lies at the detector but no opening limits the light: put an aperture")
+    geometric, why_not = _geometric_view(assembly, frame, channel)
+    if geometric is None:
+        raise SceneError(f"way {channel.route.label}: {why_not} but no opening limits the light: put an aperture")
     return "diffracts nothing: no edge lies on this way"
 
 
@@ -250,18 +253,19 @@ class _View:
     points: np.ndarray = field(repr=False)
 
 
-def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> _View | None:
-    """The rays from spot to detector, or None where there is not exactly one for each pair, clear of a caustic."""
+def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[_View | None, str]:
+    """The rays from spot to detector; None and the reason where there is not exactly one for each pair, clear of a caustic."""
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
     spots, pixels = _spot_samples(assembly, frame), _detector_samples(channel.grid)
     sources, targets = np.repeat(spots, len(pixels), axis=0), np.tile(pixels, (len(spots), 1))
     aimed = aim(sequence, sources, targets)
-    if not np.all(aimed.converged) or np.min(np.abs(aimed.spread)) < NEAR_CAUSTIC:
-        return None
-    if np.ptp(aimed.caustics) > 0:
-        return None
+    lost = aimed.status[~aimed.converged]
+    if len(lost) and np.all(lost != RayStatus.NOT_CONVERGED):
+        return None, "a part of the detector is reached by no ray"
+    if len(lost) or np.min(np.abs(aimed.spread)) < NEAR_CAUSTIC or np.ptp(aimed.caustics) > 0:
+        return None, "a focus or caustic lies at the detector"
     traced = trace(sequence, sources, aimed.launch)
-    return _View(sources, targets, traced.points)
+    return _View(sources, targets, traced.points), ""
 
 
 def _fresnel_clearance(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> float:

@@ -12,6 +12,10 @@ import numpy as np
 from .cli import command, load_scene, say, scene_parser
 from .files import replacing
 from .geometry import Pose
+from .memory import excess
+
+BYTES_PER_LAYER = 24
+"""Memory of a pixel of one scatterer's field while it is being written: complex128 and its two float32 channels."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -40,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     frame = simulate_frame(assembly, pose if options.pose else None)
     seconds = time.perf_counter() - start
+    layer_bytes = min(options.per_source, frame.scatterers.count) * assembly.detector.size * BYTES_PER_LAYER
+    if too_much := excess(layer_bytes):
+        raise ValueError(f"--per-source {options.per_source}: the layers {too_much}")
     layers = source_layers(assembly, frame.scatterers, pose if options.pose else None, options.per_source)
     write_field(options.output, frame.image, layers)
     if options.sources:

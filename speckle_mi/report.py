@@ -10,6 +10,9 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 import numpy as np
+from rich import box
+from rich.console import Console
+from rich.table import Table
 
 from . import paper
 from .assembly import Assembly
@@ -95,33 +98,14 @@ def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, resul
 
 def print_report(assembly: Assembly, settings: SweepSettings, summary: dict) -> None:
     """Prints the plan, the sensitivities on the detector and on the target's axes, and the errors."""
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
     console = Console(width=None if os.isatty(1) else 120, highlight=False)
     for line in summary["plan"]:
         console.print(f"plan: {line}", markup=False)
-    for title, axes in (("On the detector", ("u", "v")), ("Projected on the target's axes", ("x", "y"))):
-        table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
-        published = bool(summary["paper"]) and axes == ("x", "y")
-        heads = ["motion", "unit"]
-        for axis in axes:
-            heads += [f"{axis} simulated", f"{axis} theory"]
-        heads += ["scatter (um)", *(["paper"] if published else [])]
-        for number, head in enumerate(heads):
-            table.add_column(head, justify="left" if number < 2 else "right")
-        for dof, fitted in summary["fits"].items():
-            row = [dof, unit_of(dof)]
-            for axis in axes:
-                row += [_with_interval(fitted[axis]), _number(fitted[axis].theory)]
-            row.append(" / ".join(_number(fitted[axis].scatter_um, "{:.1f}") for axis in axes))
-            if published:
-                row.append(_paper_cell(summary["paper"], dof, axes))
-            table.add_row(*row)
-        console.print(table)
-    if any(np.isfinite(fit[axis].theory or np.nan) for fit in summary["fits"].values() for axis in CENTRE_AXES):
-        console.print(_centre_table(summary))
+    tables = [("On the detector", ("u", "v")), ("Projected on the target's axes", ("x", "y"))]
+    if any(fit[axis].theory is not None for fit in summary["fits"].values() for axis in CENTRE_AXES):
+        tables.append(("Centre of gravity on the detector", CENTRE_AXES))
+    for title, axes in tables:
+        console.print(_sensitivity_table(title, axes, summary))
     console.print(f"numerical error of the field {summary['numerical_error']:.1e} (relative L2, estimated); "
                   f"{summary['seconds_per_frame'] * 1e3:.3g} ms a frame (median); "
                   f"{summary['frames_without_shift']} of {summary['frames']} frames without a significant shift")
@@ -131,24 +115,21 @@ def print_report(assembly: Assembly, settings: SweepSettings, summary: dict) -> 
         console.print(f"paper, {dof}: {note}", markup=False)
 
 
-def _centre_table(summary: dict):
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title="Centre of gravity on the detector", box=box.SIMPLE_HEAD, title_justify="left")
-    heads = ["motion", "unit", "u simulated", "u theory", "v simulated", "v theory", "scatter (um)"]
-    paper_axis = {dof: entry for dof, entry in ((summary["paper"] or {}).get("figures") or {}).items()
-                  if entry["axis"] in CENTRE_AXES}
-    heads += ["paper"] if paper_axis else []
-    for number, head in enumerate(heads):
+def _sensitivity_table(title: str, axes: tuple[str, str], summary: dict) -> Table:
+    """A row a motion: simulated and theoretical sensitivity along two axes, scatter, and the paper's figure if it has one."""
+    comparison = summary["paper"]
+    published = comparison is not None and any(entry["axis"] in axes for entry in comparison["figures"].values())
+    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
+    heads = ["motion", "unit", *(f"{axis} {kind}" for axis in axes for kind in ("simulated", "theory")), "scatter (um)"]
+    for number, head in enumerate([*heads, *(["paper"] if published else [])]):
         table.add_column(head, justify="left" if number < 2 else "right")
     for dof, fitted in summary["fits"].items():
         row = [dof, unit_of(dof)]
-        for axis in CENTRE_AXES:
+        for axis in axes:
             row += [_with_interval(fitted[axis]), _number(fitted[axis].theory)]
-        row.append(" / ".join(_number(fitted[axis].scatter_um, "{:.1f}") for axis in CENTRE_AXES))
-        if paper_axis:
-            row.append(_paper_cell(summary["paper"], dof, CENTRE_AXES))
+        row.append(" / ".join(_number(fitted[axis].scatter_um, "{:.1f}") for axis in axes))
+        if published:
+            row.append(_paper_cell(comparison, dof, axes))
         table.add_row(*row)
     return table
 

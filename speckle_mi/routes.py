@@ -16,7 +16,8 @@ import numpy as np
 from .assembly import Assembly
 from .elements import Element
 from .geometry import Frame
-from .optics.surfaces import Interaction, Sequence
+from .optics.aim import aim
+from .optics.surfaces import Interaction, Sequence, Surface
 from .optics.trace import RayStatus, trace
 from .parameters import value_of
 
@@ -39,7 +40,7 @@ _HEMISPHERE_RAYS = 2048
 _DETECTOR_RAYS = 24
 _ELEMENT_RAYS = 16
 _CLEARANCE = 1e-4
-"""Distance [mm] by which a ray starts off the surface it has just left."""
+"""Least distance [mm] by which a ray starts off the surface it has just left."""
 
 
 @dataclass(frozen=True)
@@ -76,19 +77,45 @@ class Arrivals:
 def find_routes(assembly: Assembly) -> Arrivals:
     """The routes from the spot, with the target where it stands in the scene, to the detector's area.
 
-    Where no test ray meets that area, the routes to the detector's plane beside it: diffraction may still reach it.
+    A route counts if a test ray takes it to that area, or one that passes the area by can be aimed at it. Where
+    there is none, the routes to the detector's plane beside it are given: diffraction may still reach it.
     """
     frame = assembly.scene_frame
     directions = _test_directions(assembly, frame)
     # A little off the middle: rays along an axis of symmetry would meet vertices of meshes, where facets leak.
     spot, normal = assembly.spot_at(frame)
-    start = spot + _CLEARANCE * (normal + 3.7 * frame.axes[:, 0] + 7.1 * frame.axes[:, 1])
-    rays = _Rays(np.broadcast_to(start, directions.shape).copy(), directions, len(directions))
+    clearance = _clearance(assembly)
+    start = spot + clearance * (normal + 3.7 * frame.axes[:, 0] + 7.1 * frame.axes[:, 1])
+    rays = _Rays(np.broadcast_to(start, directions.shape).copy(), directions, clearance)
     for _ in range(MAX_INTERACTIONS):
         if not np.any(rays.alive):
             break
         _advance(assembly, rays)
-    return Arrivals(_routes(assembly.elements, rays.arrived or rays.passed_by), bool(rays.arrived), rays.stopped)
+    arrived = _routes(assembly.elements, rays.arrived)
+    passed_by = _routes(assembly.elements, {steps: way for steps, way in rays.passed_by.items() if steps not in rays.arrived})
+    arrived += tuple(route for route in passed_by if _can_be_aimed(assembly, spot, route))
+    return Arrivals(arrived or passed_by, bool(arrived), rays.stopped)
+
+
+def _clearance(assembly: Assembly) -> float:
+    """Distance [mm] by which a ray starts off a surface: above what single precision rounds the scene's places by."""
+    box = assembly.scene.bbox()
+    largest = float(np.max(np.abs([np.array(box.min), np.array(box.max)])))
+    return max(_CLEARANCE, 16 * float(np.finfo(np.float32).eps) * largest)
+
+
+def _can_be_aimed(assembly: Assembly, spot: np.ndarray, route: Route) -> bool:
+    """Whether the middle or a corner of the detector is reached over a route, inside all outlines."""
+    grid = assembly.detector
+    half_u, half_v = 0.5 * grid.pitch * (grid.shape[1] - 1), 0.5 * grid.pitch * (grid.shape[0] - 1)
+    signs = ((0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1))
+    targets = np.array([grid.centre + a * half_u * grid.u + b * half_v * grid.v for a, b in signs])
+    if not route.interactions:
+        return False  # the straight way needs no aim: a test ray goes to each part of the detector
+    plane = Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1)))
+    sequence = Sequence((*route.interactions, Interaction.through(plane)))
+    aimed = aim(sequence, np.broadcast_to(spot, targets.shape), targets)
+    return bool(np.any(aimed.converged & np.all(aimed.margins >= 0, axis=0)))
 
 
 def _routes(elements: tuple[Element, ...], arrived: dict) -> tuple[Route, ...]:
@@ -104,13 +131,14 @@ def _routes(elements: tuple[Element, ...], arrived: dict) -> tuple[Route, ...]:
 class _Rays:
     """Test rays on their way, and what became of those that have ended.
 
-    origin, direction: (n, 3); alive: (n,); inside: (n,) number of the glass a ray is in, -1 for none; steps and
+    origin, direction: (n, 3); clearance: by which they start off a surface [mm]; alive: (n,); inside: (n,) number of the glass a ray is in, -1 for none; steps and
     interactions: what each ray has met; arrived, passed_by: steps -> (rays, interactions) of those that ended in the
     detector's area, and beside it; stopped: rays that each element ended.
     """
 
-    def __init__(self, origin: np.ndarray, direction: np.ndarray, count: int) -> None:
-        self.origin, self.direction = origin, direction
+    def __init__(self, origin: np.ndarray, direction: np.ndarray, clearance: float) -> None:
+        count = len(direction)
+        self.origin, self.direction, self.clearance = origin, direction, clearance
         self.alive = np.ones(count, dtype=bool)
         self.inside = np.full(count, -1)
         self.steps: list[tuple] = [()] * count
@@ -214,7 +242,9 @@ def _pass_openings(elements: tuple[Element, ...], rays: _Rays, index: np.ndarray
         return
     distance = np.empty((len(numbers), len(index)))
     for row, number in enumerate(numbers):
-        distance[row], in_hole, on_screen = screen_crossing(elements[number], rays.origin[index], rays.direction[index])
+        distance[row], in_hole, on_screen = screen_crossing(
+            elements[number], rays.origin[index], rays.direction[index], rays.clearance
+        )
         # The mesh of a screen leaves a sliver around the hole open; the exact outline decides.
         rays.stop(index[on_screen & (distance[row] < end) & rays.alive[index]], elements[number].name)
         distance[row, ~in_hole] = np.inf
@@ -259,7 +289,9 @@ def _distance_to_detector(assembly: Assembly, origin: np.ndarray, direction: np.
     return np.where(reached & inside, distance, np.where(reached, _FAR, np.inf)), inside
 
 
-def screen_crossing(element: Element, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def screen_crossing(
+    element: Element, origin: np.ndarray, direction: np.ndarray, clearance: float = _CLEARANCE
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Distance (n,) [mm] to the plane of an opening's screen, whether it is crossed in the hole, and in the screen itself."""
     face = element.faces[0]
     local, slope = face.frame.to_local(origin), direction @ face.frame.axes
@@ -268,7 +300,7 @@ def screen_crossing(element: Element, origin: np.ndarray, direction: np.ndarray)
         x, y = (local[:, k] + distance * slope[:, k] for k in (0, 1))
         hole = np.all(face.outline.margins(x, y) >= 0, axis=0)
         screen = np.hypot(x, y) <= value_of(element.shape.outer_radius)
-    met = distance > _CLEARANCE / 2
+    met = distance > clearance / 2
     return np.where(met, distance, np.inf), met & hole, met & screen & ~hole
 
 
@@ -283,7 +315,7 @@ def _meet(element: Element, number: int, rays: _Rays, index: np.ndarray, reach: 
         [bool(rays.steps[ray]) and rays.steps[ray][-1][:2] == (number, f) for ray, f in zip(index, face, strict=True)]
     )
     # A facet of a mesh lies a little off the exact surface that the ray has just left.
-    rays.origin[index[again]] = hit[again] + _CLEARANCE * rays.direction[index[again]]
+    rays.origin[index[again]] = hit[again] + rays.clearance * rays.direction[index[again]]
     rays.stop(index[~again & (face < 0)], element.name)
     comes_from_inside = rays.inside[index] == number
     for f in range(len(element.faces)):
@@ -315,6 +347,6 @@ def _go_on(element: Element, step: tuple, interaction: Interaction, rays: _Rays,
     going, valid = index[result.valid], result.valid
     rays.take(going, step, interaction)
     rays.direction[going] = result.directions[valid]
-    rays.origin[going] = result.points[0, valid] + _CLEARANCE * result.directions[valid]
+    rays.origin[going] = result.points[0, valid] + rays.clearance * result.directions[valid]
     if inside != -2:
         rays.inside[going] = inside

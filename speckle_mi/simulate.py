@@ -80,8 +80,6 @@ def _visible(assembly: Assembly, frame: Frame, lit: Scatterers, plan: Plan, warn
     if lit.count == 0:
         warnings.append("no light: the beam misses the target at this pose, the field is zero")
         return lit
-    if assembly.target.points is not None:
-        return lit
     viewpoints = [channel.viewpoint for channel in plan.channels] or [assembly.detector.centre]
     seen, note = visible_scatterers(assembly, frame, lit, viewpoints)
     if note:

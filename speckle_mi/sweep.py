@@ -22,6 +22,9 @@ from .statistics import contrast
 _PENDING_WRITES = 8
 """Frames that may wait to be written: bounds the memory they take."""
 
+MAX_FRAMES = 1_000_000
+"""Most frames of a sweep."""
+
 REFERENCE = "reference"
 """``dof`` of the frames at rest in sweep.csv."""
 
@@ -91,6 +94,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     assembly = assembly_from_scene(scene)
     settings = _with_seeds(settings, assembly.seed, options.seeds)
+    largest = max(assembly.detector.shape)
+    if settings.window is not None and settings.window > largest:
+        raise ValueError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
     folder = Path(options.out or Path("results") / Path(options.scene).stem)
     identity = _identity(assembly, settings)
     _claim(folder, identity, options.force)
@@ -139,6 +145,11 @@ def _settings(options) -> SweepSettings:
         raise ValueError(f"--seeds {options.seeds}: must be at least 1")
     if options.window is not None and options.window < 4:
         raise ValueError(f"--window {options.window}: must be at least 4 px")
+    frames = options.seeds * (1 + len(dofs) * options.steps)
+    if frames > MAX_FRAMES:
+        raise ValueError(
+            f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, must be at most {MAX_FRAMES:.0e}"
+        )
     displacements = np.linspace(-options.range / 2, options.range / 2, options.steps)
     return SweepSettings(dofs, displacements, (), options.window)
 

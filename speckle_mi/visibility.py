@@ -14,7 +14,12 @@ _NOTICEABLE = 1e-3
 """Share of the power above which scatterers that only part of the detector sees are worth a warning."""
 
 _OFF_SURFACE = 1e-3
-"""Distance [mm] from the target at which rays start, so that its own facets do not stop them."""
+"""Least distance [mm] from the target at which rays start, so that its own facets do not stop them."""
+
+
+def _off_surface(points: np.ndarray) -> float:
+    """That distance for points (n, 3) whose coordinates Mitsuba rounds to single precision, twice a ray [mm]."""
+    return max(_OFF_SURFACE, 16 * float(np.finfo(np.float32).eps) * float(np.max(np.abs(points))))
 
 
 def visible_scatterers(
@@ -23,17 +28,19 @@ def visible_scatterers(
     """The scatterers that the laser and one of the viewpoints (3,) see, and a warning or an empty text.
 
     A viewpoint is where light goes first: an element, or the detector's centre. A bare detector sees only what lies in
-    front of it. A flat patch needs only the sign of an angle. On a mesh, rays towards laser and viewpoint test whether the target shades itself.
+    front of it. The user's own points radiate to all sides; a flat patch to its front; on a mesh, rays towards laser and
+    viewpoint test whether the target shades itself.
     """
-    seen = np.zeros(lit.count, dtype=bool)
-    for viewpoint in viewpoints:
+    free = assembly.target.points is not None
+    seen = np.full(lit.count, free)
+    for viewpoint in [] if free else viewpoints:
         faces = _faces(lit, viewpoint)
         seen |= faces if assembly.target.is_flat else faces & _unshaded(assembly, frame, lit, viewpoint)
     if not assembly.elements:
         # Through elements the light's last way is another: the routes know its side.
         seen &= (lit.position - assembly.detector.centre) @ assembly.detector.normal > 0
     note = "" if np.any(seen) else "no light: the detector sees none of the lit surface at this pose, the field is zero"
-    if not assembly.target.is_flat and not assembly.elements and np.any(seen):
+    if not (free or assembly.target.is_flat or assembly.elements) and np.any(seen):
         note = _note_of_horizon(assembly, lit, seen)
     return (lit if np.all(seen) else lit.selected(seen)), note
 
@@ -70,7 +77,7 @@ def pixels_in_view(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndar
 def _unblocked_pixels(assembly: Assembly, grid: PlaneGrid) -> np.ndarray:
     """1 where the straight way from the spot's middle to a pixel is free of every shape of the scene, else 0."""
     spot, normal = assembly.spot_at(assembly.scene_frame)
-    start = spot + _OFF_SURFACE * normal
+    start = spot + _off_surface(spot) * normal
     to_pixel = grid.points() - start
     distance = np.linalg.norm(to_pixel, axis=1)
     start, direction = np.broadcast_to(start, to_pixel.shape), to_pixel / distance[:, None]
@@ -98,7 +105,7 @@ def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers, viewpoint: np.n
     centre = current.to_world(frame.to_local(viewpoint[None]))[0]
     scene = _scene_of(target.shape)
     size = float(np.max(np.ptp(target.surface.facets.origin, axis=0), initial=0.0))
-    start = points + normals * max(1e-5 * size, 4 * target.surface.roughness)
+    start = points + normals * max(_off_surface(points), 1e-5 * size, 4 * target.surface.roughness)
     to_detector = centre - start
     distance = np.linalg.norm(to_detector, axis=1)
     to_laser = assembly.beam.directions_to_source(lit.position) @ frame.axes @ current.axes.T

@@ -12,6 +12,10 @@ from .scenes import WAVELENGTH, Bench, Part, aperture, lens, pixel_centres
 from .surfaces import point_scatterers
 
 TOLERANCE = 1e-4
+
+ASPHERE_TOLERANCE = 1e-6
+"""Asked of the field behind the asphere; the largest error of a pixel may be ten times the L2 norm's."""
+
 K = 2 * np.pi / WAVELENGTH
 
 THICK = {"radius1": 50.0, "radius2": -50.0, "thickness": 5.0, "diameter": 20.0, "ior": 1.5151}
@@ -73,7 +77,7 @@ def _geometric_limit(number: float) -> Check:
     """Beyond a Fresnel number of some hundred edges are left out: the plan must say how much that may matter."""
     radius = float(np.sqrt(number * WAVELENGTH * 15.0))
     small = {"width": 64, "height": 64, "pixel_pitch": 0.02}
-    _, frame, field = _of_a_point(Bench(detector=small, elements=(aperture(30.0, radius=radius, outer_radius=100.0),)))
+    _, frame, field = _of_a_point(Bench(detector=small, elements=(aperture(30.0, radius=radius, outer_radius=300.0),)))
     _, _, free = _of_a_point(Bench(detector=small))
     error = float(np.linalg.norm(field - free) / np.linalg.norm(free))
     words = next((line for line in frame.plan if "nearest edge" in line), "")
@@ -124,12 +128,13 @@ def strong_asphere(quick: bool):
     n, f, t = 1.5, 10.0, 8.0
     part = lens(f, radius1=(n - 1) * f, radius2=0.0, conic1=-n * n, conic2=0.0, thickness=t, diameter=10.0, ior=n)
     wide = {"width": 33, "height": 33, "pixel_pitch": 0.05}
-    assembly, _, field = _of_a_point(Bench(detector_distance=30.0, detector=wide, elements=(part,)))
+    bench = Bench(detector_distance=30.0, detector=wide, elements=(part,), integrator={"tolerance": ASPHERE_TOLERANCE})
+    _, _, field = _of_a_point(bench)
     path = f + n * t + (30.0 - f - t)
     phase = field * np.exp(-2j * np.pi * ((path / WAVELENGTH) % 1.0))
-    yield within("asphere", "phase behind a hyperboloid [rad]", float(np.mean(np.angle(phase))), 0.0, np.abs(np.angle(phase)).max(), TOLERANCE)
+    yield within("asphere", "phase behind a hyperboloid [rad]", float(np.mean(np.angle(phase))), 0.0, np.abs(np.angle(phase)).max(), 10 * ASPHERE_TOLERANCE)
     # Far from the axis the amplitude falls as the hyperboloid takes up less solid angle: exact on the axis.
-    yield compared("asphere", "amplitude on the axis, 1/f [1/mm]", abs(field[16, 16]), 1 / f, TOLERANCE, relative=True)
+    yield compared("asphere", "amplitude on the axis, 1/f [1/mm]", abs(field[16, 16]), 1 / f, 10 * ASPHERE_TOLERANCE, relative=True)
 
 
 # Focus
@@ -138,7 +143,7 @@ def strong_asphere(quick: bool):
 def through_focus(quick: bool):
     """A point imaged through a small stop: the energy is that of the stop's solid angle, and nothing jumps."""
     stop, steps = 1.0, np.linspace(-3.0, 3.0, 5 if quick else 13)
-    image = {"width": 96, "height": 96, "pixel_pitch": 0.008}
+    image = {"width": 97, "height": 97, "pixel_pitch": 0.008}
     energies, peaks = [], []
     for step in steps:
         parts = (aperture(90.0, radius=stop), lens(97.0685, **THICK))
@@ -156,12 +161,10 @@ def through_focus(quick: bool):
     middle = int(np.argmax(peaks))
     rises = np.all(np.diff(peaks[: middle + 1]) > 0) and np.all(np.diff(peaks[middle:]) < 0)
     yield within("through focus", "brightest pixel rises, then falls", str(bool(rises)), "True", 0.0 if rises else np.inf, 0.0)
-    amplitude = np.sqrt(max(peaks))
-    # Paraxial: a pupil seen under the angle alpha from the image fills it with A = pi alpha^2 / lambda times its field.
-    half_angle = stop / 90.0 * 100.6 / 97.0
-    yield within("through focus", "amplitude in the focus, paraxial", amplitude, "", 0.0, np.inf) if False else compared(
-        "through focus", "amplitude in the focus, pi a^2 / (lambda z z')", amplitude, np.pi * half_angle * stop / 90.0 / WAVELENGTH, 0.08, relative=True
-    )
+    # Power P in a round cone of half angle alpha' makes |E|^2 = P pi alpha'^2 / lambda^2 in its focus; at 2 f - 2 f, alpha' = alpha.
+    # The marginal focus lies 0.09 mm before the paraxial one, which takes up to 1 percent.
+    focus = np.pi * (stop / 90.0) ** 2 / WAVELENGTH
+    yield compared("through focus", "amplitude in the focus, pi a^2 / lambda", np.sqrt(max(peaks)), focus, 0.01, relative=True)
 
 
 def foci_without_a_stop(quick: bool):
@@ -178,15 +181,16 @@ def foci_without_a_stop(quick: bool):
 
 def caustic_of_a_ball_lens(quick: bool):
     """Through the caustic with a stop: finite everywhere, and the energy is the solid angle's."""
-    distances = (20.0,) if quick else (16.0, 18.0, 20.2352, 22.0)
+    distances = ((20.0, 0.003), (22.0, 0.006)) if quick else ((18.0, 0.006), (19.5, 0.003), (20.0, 0.003), (20.2352, 0.003), (22.0, 0.006))
     # A stop before the ball, so that the solid angle is known.
     solid_angle = 2 * np.pi * (1 - 3.0 / np.hypot(3.0, 0.3))
-    for distance in distances:
+    for distance, pitch in distances:
         parts = (aperture(3.0, radius=0.3, outer_radius=5.0), _ball(6.5))
-        image = {"width": 128, "height": 128, "pixel_pitch": 0.008}
+        image = {"width": 64, "height": 64, "pixel_pitch": pitch}
         _, _, field = _of_a_point(Bench(detector_distance=distance, detector=image, elements=parts))
-        energy = float(np.sum(np.abs(field) ** 2)) * 0.008**2
-        yield compared("caustic", f"energy over solid angle at {distance:g} mm", energy / solid_angle, 1.0, 0.05)
+        energy = float(np.sum(np.abs(field) ** 2)) * pitch**2
+        # The rest is diffracted beside the detector.
+        yield compared("caustic", f"energy over solid angle at {distance:g} mm", energy / solid_angle, 1.0, 0.02)
 
 
 def _ball(z: float) -> Part:
@@ -198,15 +202,21 @@ def _ball(z: float) -> Part:
 
 
 def total_internal_reflection(quick: bool):
-    """A cube of glass on the axis: its sides reflect totally, each like a mirror image of the detector seen through a plate."""
-    side, index, distance = 5.0, 1.5, 40.0
+    """A cube's side reflects totally: the mirror image of the field behind a plate, seen beyond that side.
+
+    A stop lets only the light through that meets the side x = 5 mm on its way.
+    """
+    side, index = 5.0, 1.5
     glass = f'<bsdf type="dielectric"><float name="int_ior" value="{index}"/><float name="ext_ior" value="1"/></bsdf>'
     cube = Part("cube", "cube", Frame(np.array([0, 0, 20.0]), np.eye(3)), {}, glass, side)
-    assembly, frame, field = _of_a_point(Bench(detector_distance=distance, detector={"width": 8, "height": 8}, elements=(cube,)))
-    places = pixel_centres(assembly.detector, np.arange(field.size))[:, :2]
-    images = [places] + [np.where(np.arange(2) == axis, 2 * sign * side - places, places) for axis in (0, 1) for sign in (-1, 1)]
-    reference = sum(_through_plate(distance, 2 * side, index, np.linalg.norm(image, axis=1)) for image in images)
-    yield same_field("total reflection", "field behind a cube: five images", field, reference, 2e-3)
+    plate = lens(15.0, **THICK | {"radius1": 0.0, "radius2": 0.0, "thickness": 2 * side, "ior": index, "diameter": 60.0})
+    stop = Part("aperture", "stop", Frame(np.array([2.73, 0.0, 10.0]), np.eye(3)), {"radius": 0.05, "outer_radius": 30.0})
+    facing = np.diag([-1.0, 1.0, -1.0])
+    bench = Bench(detector={"width": 32, "height": 24, "pixel_pitch": 0.03})
+    behind_cube = bench.with_(detector_frame=Frame(np.array([0.0, 0.0, 40.0]), facing), elements=(stop, cube))
+    behind_plate = bench.with_(detector_frame=Frame(np.array([2 * side, 0.0, 40.0]), facing), elements=(stop, plate))
+    (_, _, reflected), (_, _, straight) = _of_a_point(behind_cube), _of_a_point(behind_plate)
+    yield same_field("total reflection", "field behind a cube, mirrored", reflected, straight[:, ::-1], 2 * TOLERANCE)
 
 
 def rays_that_graze_a_rim(quick: bool):

@@ -37,7 +37,8 @@ class Part:
 class Bench:
     """A laser, a target at the origin facing +z, and a detector that looks at it; all parts may be moved together.
 
-    laser_angle, detector_angle: from the normal in the xz plane [deg]; distances [mm]; laser, target, detector,
+    laser_angle, detector_angle: from the normal in the xz plane [deg]; distances [mm]; detector_turn: 180 deg looks at
+    the target, 0 away from it; detector_frame: its place, instead of angle and distance; laser, target, detector,
     integrator: parameters of the plugins; elements: other parts; world: where the whole bench stands;
     backwards: writes the parts in the opposite order.
     """
@@ -47,6 +48,7 @@ class Bench:
     detector_angle: float = 0.0
     detector_distance: float = 60.0
     detector_turn: float = 180.0
+    detector_frame: Frame | None = None
     target_frame: Frame = _WORLD
     laser: dict = field(default_factory=dict)
     target: dict = field(default_factory=dict)
@@ -67,7 +69,7 @@ class Bench:
             f'<emitter type="laser" id="laser">{self._place(self.laser_angle, self.laser_distance)}{parameters(laser)}</emitter>',
             f'<shape type="rough_target" id="target">{placed(self.in_world(self.target_frame))}{parameters(target)}</shape>',
             f'<sensor type="detector" id="detector">'
-            f"{self._place(self.detector_angle, self.detector_distance, self.detector_turn)}"
+            f"{self._detector_place()}"
             f'{parameters(pitch)}<film type="hdrfilm">{parameters(size)}</film></sensor>',
             *(part.xml(self) for part in self.elements),
         ]
@@ -103,6 +105,11 @@ class Bench:
         axes = rotation_matrix(np.radians([0.0, angle, 0.0]))
         facing = axes @ rotation_matrix(np.radians([0.0, turn, 0.0]))
         return placed(self.in_world(Frame(distance * axes[:, 2], facing)))
+
+    def _detector_place(self) -> str:
+        if self.detector_frame is not None:
+            return placed(self.in_world(self.detector_frame))
+        return self._place(self.detector_angle, self.detector_distance, self.detector_turn)
 
     def in_world(self, frame: Frame) -> Frame:
         """A place on the bench as a place in the world."""
