@@ -124,6 +124,8 @@ class RoughTarget(mi.Mesh):
                 raise SceneError(f"{self.where}: has both 'filename' and a size ('width', 'height'), must have one of them")
             vertices, faces = mesh_from_file(resolve(props, "filename"), self.where)
             self.facets = Facets.triangles(vertices[faces])
+            if self.facets.count == 0:
+                raise SceneError(f"{self.where}: the faces of {props['filename']!r} have no area, must have some")
             return vertices, faces
         a = read_number(props, "width", 4.0, **_SIZE) / 2
         b = read_number(props, "height", 4.0, **_SIZE) / 2

@@ -180,8 +180,10 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
 
 
 def _require_memory(detector: mi.Sensor) -> None:
-    """SceneError where one image alone would take more memory than the machine has."""
+    """SceneError where one image alone would take more memory than the machine has, or has no pixel."""
     columns, rows = (int(n) for n in detector.film().size())
+    if columns < 1 or rows < 1:
+        raise SceneError(f"{detector.where}: the film has {columns} x {rows} pixels, must have at least 1 x 1")
     if too_much := excess(BYTES_PER_PIXEL * columns * rows):
         raise SceneError(f"{detector.where}: {columns} x {rows} pixels {too_much}: set a smaller width or height")
 
@@ -214,7 +216,7 @@ def _is_inside(element: Element, point: np.ndarray) -> bool:
 def _only(candidates: list, kind: str, role: str, plugin: str):
     found = [candidate for candidate in candidates if type(candidate).__name__ == kind]
     if len(found) != 1:
-        names = ", ".join(repr(candidate.id()) for candidate in found)
+        names = ", ".join(candidate.where.partition(" ")[2] for candidate in found)
         raise SceneError(
             f"the scene has {f'{len(found)} of <{role} type={plugin!r}>: {names}' if found else f'no <{role} type={plugin!r}>'}, "
             "must have exactly one"

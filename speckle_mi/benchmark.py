@@ -19,7 +19,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 
 import numpy as np
@@ -110,7 +110,7 @@ def timed(work: Callable[[], object], runs: int = RUNS, seconds: float = RUN_SEC
 
 
 def numpy_sum(position: np.ndarray, amplitude: np.ndarray, points: np.ndarray, wavelength: float) -> np.ndarray:
-    """sum_j c_j e^{ikr}/r at points (m, 3) in float64, vectorised over a few thousand scatterers and pixels at a time."""
+    """sum_j c_j e^{ikr}/r at points (m, 3) in float64, vectorised over thousands of pairs at a time."""
     wavenumber = 2 * np.pi / wavelength
     field = np.zeros(len(points), dtype=np.complex128)
     step = max(1, (1 << 20) // min(len(position), 4096))
@@ -154,7 +154,7 @@ def fresnel_sum(position: np.ndarray, amplitude: np.ndarray, grid: PlaneGrid, wa
     """The Fresnel approximation by one type-1 NUFFT onto the pixel grid, (rows, columns).
 
     r = L - z + (X^2 + Y^2)/(2L) - (X x + Y y)/L + (x^2 + y^2)/(2L), with x, y, z the scatterer's place along u, v and
-    towards the detector, X, Y the pixel's, L the distance; the amplitude 1/L. Good far from the target and near the axis.
+    towards the detector, X, Y the pixel's, L the distance; the amplitude 1/L. Good far away and near the axis.
     """
     import finufft
 
@@ -167,7 +167,9 @@ def fresnel_sum(position: np.ndarray, amplitude: np.ndarray, grid: PlaneGrid, wa
     x, y, z = ((position - origin) @ axis for axis in (grid.u, grid.v, towards))
     # finufft's mode numbers run from -n/2 (rounded down): the pixel they stand on, not the middle, is the origin.
     middle_x, middle_y = (0.5 * grid.pitch if n % 2 == 0 else 0.0 for n in (columns, rows))
-    weights = amplitude * np.exp(1j * k * ((x * x + y * y) / (2 * distance) - z - (middle_x * x + middle_y * y) / distance))
+    weights = amplitude * np.exp(
+        1j * k * ((x * x + y * y) / (2 * distance) - z - (middle_x * x + middle_y * y) / distance)
+    )
     rate = k * grid.pitch / distance
     wrapped = [np.mod(rate * value + np.pi, 2 * np.pi) - np.pi for value in (y, x)]
     sums = finufft.nufft2d1(*wrapped, weights, (rows, columns), isign=-1, eps=FRESNEL_EPS)
@@ -198,7 +200,9 @@ class Bench:
         """Places (count, 3) [mm] and amplitudes of exactly so many scatterers under the beam."""
         from .surface import illuminated_scatterers
 
-        lit = illuminated_scatterers(self._denser(1.1 * count + 20).target.surface, self.assembly.beam, self.assembly.target.frame)
+        lit = illuminated_scatterers(
+            self._denser(1.1 * count + 20).target.surface, self.assembly.beam, self.assembly.target.frame
+        )
         pick = np.sort(np.random.default_rng(0).permutation(lit.count)[:count])
         return np.ascontiguousarray(lit.position[pick]), lit.amplitude[pick]
 
@@ -243,7 +247,9 @@ class Bench:
         result = coherent_sum(FreeSpace(), position, amplitude, self.grid, self.wavelength, "auto", TOLERANCE)
         entries = [whole(f"auto {TOLERANCE:.0e}", auto, result.plan)]
         if count * len(points) < 1e11:
-            entries.append(whole("direct", lambda: direct_sum(FreeSpace(), position, amplitude, self.grid, self.wavelength)))
+            entries.append(
+                whole("direct", lambda: direct_sum(FreeSpace(), position, amplitude, self.grid, self.wavelength))
+            )
         entries.append(self._on_a_part("NumPy float64", numpy_sum, position, amplitude, points, judged, exact))
         compiled = numba_sum()
         if compiled is not None:
@@ -265,7 +271,16 @@ class Bench:
         timing = timed(lambda: work(position, amplitude, some, self.wavelength), runs=3, seconds=self.peer_seconds)
         scale = len(points) / len(some)
         error = float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
-        return Entry(name, len(position), scale * timing.median, scale * timing.q1, scale * timing.q3, timing.runs, 1 / scale, error)
+        return Entry(
+            name,
+            len(position),
+            scale * timing.median,
+            scale * timing.q1,
+            scale * timing.q3,
+            timing.runs,
+            1 / scale,
+            error,
+        )
 
     # Scaling
 
@@ -288,7 +303,12 @@ class Bench:
             return timed(work).median, work()
 
         grid, (rows, columns) = self.grid, self.grid.shape
-        finer = replace(grid, pitch=grid.pitch / 2, origin=grid.origin - grid.pitch / 4 * (grid.u + grid.v), shape=(2 * rows, 2 * columns))
+        finer = replace(
+            grid,
+            pitch=grid.pitch / 2,
+            origin=grid.origin - grid.pitch / 4 * (grid.u + grid.v),
+            shape=(2 * rows, 2 * columns),
+        )
         corner = grid.origin - grid.pitch / 2 * (columns * grid.u + rows * grid.v)
         larger = replace(grid, origin=corner, shape=(2 * rows, 2 * columns))
         base = seconds(grid)[0]
@@ -318,18 +338,24 @@ class Bench:
         position, amplitude = self.scatterers(PAIRS_SOURCES // (8 if self.quick else 1))
         kernel = timed(lambda: direct_sum(FreeSpace(), position, amplitude, self.grid, self.wavelength))
         pairs = len(position) * self.grid.size / kernel.median
-        found["direct kernel"] = asdict(kernel) | {"what": f"{pairs / 1e9:.2f} billion pairs a second", "pairs_per_second": pairs}
+        found["direct kernel"] = asdict(kernel) | {
+            "what": f"{pairs / 1e9:.2f} billion pairs a second",
+            "pairs_per_second": pairs,
+        }
         rest, moved = (simulate(self.assembly, Pose(x=x)) for x in (0.0, 0.012))
         correlator = Correlator(rest.intensity)
         size = "{1} x {0}".format(*self.grid.shape)
-        found["correlation of a frame"] = asdict(timed(lambda: correlator.shift(moved.intensity))) | {"what": f"{size}, window {correlator.window}"}
+        found["correlation of a frame"] = asdict(timed(lambda: correlator.shift(moved.intensity))) | {
+            "what": f"{size}, window {correlator.window}"
+        }
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "frame.exr"
             found["EXR writing"] = asdict(timed(lambda: write_field(path, rest))) | {"what": f"{size}, three channels"}
             found |= self._commands(Path(folder))
         for count in (1_000,) if self.quick else (100_000, 1_000_000):
-            surface, target = self._denser(count).target.surface, self.assembly.target
-            timing = timed(lambda surface=surface: illuminated_scatterers(surface, self.assembly.beam, target.frame))
+            target = self._denser(count).target
+            place = partial(illuminated_scatterers, target.surface, self.assembly.beam, target.frame)
+            timing = timed(place)
             found[f"scatterers, {count:,}"] = asdict(timing) | {"what": "places, heights, illumination"}
         return found
 
@@ -346,7 +372,17 @@ class Bench:
         if self.quick:
             return found
         # Out to where its light ends, the beam lights nine times the area that point_sources are counted in.
-        sweep = ["sweep", str(scene), "--out", str(folder / "sweep"), "--seeds", "1", "--quiet", "-D", "point_sources=11100"]
+        sweep = [
+            "sweep",
+            str(scene),
+            "--out",
+            str(folder / "sweep"),
+            "--seeds",
+            "1",
+            "--quiet",
+            "-D",
+            "point_sources=11100",
+        ]
         seconds, memory = _command(sweep)
         found["sweep, 61 frames"] = _single(seconds, memory, "of 100,000 scatterers each, cold start")
         large = ["-D", "point_sources=111000", "-D", "width=2000", "-D", "height=2000"]
@@ -357,14 +393,25 @@ class Bench:
 
 def _single(seconds: float, memory: float | None, what: str) -> dict:
     peak = "" if memory is None else f", peak {memory:.0f} MB"
-    return {"median": seconds, "q1": seconds, "q3": seconds, "runs": 1, "first": seconds, "what": what + peak, "peak_memory_mb": memory}
+    return {
+        "median": seconds,
+        "q1": seconds,
+        "q3": seconds,
+        "runs": 1,
+        "first": seconds,
+        "what": what + peak,
+        "peak_memory_mb": memory,
+    }
 
 
 def _command(arguments: list[str]) -> tuple[float, float | None]:
     """Seconds and peak memory [MB] (None where the system does not tell) of ``python -m speckle_mi.<arguments>``."""
     begin = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, "-m", f"speckle_mi.{arguments[0]}", *arguments[1:]], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-m", f"speckle_mi.{arguments[0]}", *arguments[1:]],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     )
     message = process.stderr.read()
     if hasattr(os, "wait4"):
@@ -383,7 +430,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     made = parser("benchmark", "Measures speed and error beside peers, in one run.")
     made.add_argument("--out", metavar="FILE.json", help="also write the figures as JSON")
-    made.add_argument("--quick", action="store_true", help="few scatterers, few pixels: does it work, not how fast is it")
+    made.add_argument(
+        "--quick", action="store_true", help="few scatterers, few pixels: does it work, not how fast is it"
+    )
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
     options = made.parse_args(arguments)
     if options.out and not Path(options.out).parent.is_dir():
@@ -442,14 +491,28 @@ def _print_report(bench: Bench, entries: list[Entry], scaling: dict, pieces: dic
     from rich.console import Console
 
     console = Console(width=None if os.isatty(1) else 130, highlight=False)
-    names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "numba", "LLVM")
+    names = (
+        "processor",
+        "cores",
+        "system",
+        "speckle_mi",
+        "python",
+        "mitsuba",
+        "drjit",
+        "numpy",
+        "finufft",
+        "numba",
+        "LLVM",
+    )
     console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
     console.print(_sums_table(bench, entries))
-    console.print("~ summed on a part of the pixels and scaled to all. Errors: relative L2 against the float64 sum on sampled pixels.")
+    console.print(
+        "~ summed on a part of the pixels and scaled up. Errors: relative L2 against the float64 sum on sampled pixels."
+    )
     _print_scaling(console, scaling)
     table = _table("Around the sums", ("what", "median", "quartiles", "first", ""), left=(0, 4))
     for name, piece in pieces.items():
-        quartiles = f"{_duration(piece['q1'])} - {_duration(piece['q3'])}" if piece["runs"] > 1 else ""
+        quartiles = _between(piece["q1"], piece["q3"]) if piece["runs"] > 1 else ""
         table.add_row(name, _duration(piece["median"]), quartiles, _duration(piece["first"]), piece["what"])
     console.print(table)
 
@@ -465,29 +528,39 @@ def _sums_table(bench: Bench, entries: list[Entry]):
         ratio = "" if entry.name.startswith("auto") else f"{mark}{entry.seconds / ours[entry.scatterers]:,.3g}"
         ends = number + 1 == len(entries) or entries[number + 1].scatterers != entry.scatterers
         table.add_row(
-            f"{entry.scatterers:,}", entry.name, mark + _duration(entry.seconds), f"{_duration(entry.q1)} - {_duration(entry.q3)}",
+            f"{entry.scatterers:,}", entry.name, mark + _duration(entry.seconds), _between(entry.q1, entry.q3),
             ratio, "" if entry.error is None else f"{entry.error:.1e}", entry.plan.split(" (")[0], end_section=ends,
         )  # fmt: skip
     return table
 
 
 def _print_scaling(console, scaling: dict) -> None:
-    table = _table("Whole frames: scatterers, sum, intensity", ("scatterers", "time", "quartiles", "first", "of the one before"), left=())
+    table = _table(
+        "Whole frames: scatterers, sum, intensity",
+        ("scatterers", "time", "quartiles", "first", "of the one before"),
+        left=(),
+    )
     before = None
     for count, timing in scaling["frames"].items():
         growth = "" if before is None else f"{timing['median'] / before:.2f}"
-        table.add_row(f"{count:,}", _duration(timing["median"]), f"{_duration(timing['q1'])} - {_duration(timing['q3'])}",
+        table.add_row(f"{count:,}", _duration(timing["median"]), _between(timing["q1"], timing["q3"]),
                       _duration(timing["first"]), growth)  # fmt: skip
         before = timing["median"]
     console.print(table)
     base = scaling["seconds"]
     console.print(
-        f"four times the pixels, {scaling['scatterers']:,} scatterers: {scaling['pixels_x4_finer'] / base:.2f} times the time for "
+        f"four times the pixels, {scaling['scatterers']:,} scatterers: "
+        f"{scaling['pixels_x4_finer'] / base:.2f} times the time for "
         f"finer ones, {scaling['pixels_x4_larger'] / base:.2f} for a larger detector"
     )
-    table = _table(f"Time against rank, {scaling['scatterers']:,} scatterers", ("tolerance", "rank", "time", "error", "how"), left=(4,))
+    table = _table(
+        f"Time against rank, {scaling['scatterers']:,} scatterers",
+        ("tolerance", "rank", "time", "error", "how"),
+        left=(4,),
+    )
     for entry in scaling["rank"]:
-        table.add_row(f"{entry['tolerance']:.0e}", "-" if entry["rank"] is None else str(entry["rank"]), _duration(entry["seconds"]),
+        rank = "-" if entry["rank"] is None else str(entry["rank"])
+        table.add_row(f"{entry['tolerance']:.0e}", rank, _duration(entry["seconds"]),
                       f"{entry['error']:.1e}", entry["plan"].split(" (")[0])  # fmt: skip
     console.print(table)
 
@@ -502,12 +575,22 @@ def _table(title: str, heads: Sequence[str], left: Sequence[int]):
     return table
 
 
+def _between(low: float, high: float) -> str:
+    return f"{_duration(low)} - {_duration(high)}"
+
+
 def _duration(seconds: float) -> str:
     if seconds < 1e-3:
         return f"{1e6 * seconds:.3g} us"
     if seconds < 1:
         return f"{1e3 * seconds:.3g} ms"
-    return f"{seconds:.3g} s" if seconds < 100 else f"{seconds / 60:.3g} min" if seconds < 6000 else f"{seconds / 3600:.3g} h"
+    return (
+        f"{seconds:.3g} s"
+        if seconds < 100
+        else f"{seconds / 60:.3g} min"
+        if seconds < 6000
+        else f"{seconds / 3600:.3g} h"
+    )
 
 
 if __name__ == "__main__":

@@ -81,7 +81,10 @@ def load_scene(path: str, defaults: Sequence[str], variant: str):
             raise ValueError(f"-D {name}: the scene has no such <default>, must be one of {', '.join(sorted(known)) or '(none)'}")
     # Mitsuba warns that a monochrome variant makes films monochrome, which is what is wanted here.
     mi.set_log_level(mi.LogLevel.Error)
-    return mi.load_file(path, **values)
+    scene = mi.load_file(path, **values)
+    if not isinstance(scene, mi.Scene):
+        raise ValueError(f"{path}: holds a {type(scene).__name__}, must hold a <scene>")
+    return scene
 
 
 def say(arguments: argparse.Namespace, text: str) -> None:
@@ -96,12 +99,13 @@ def one_line(error: BaseException) -> str:
         return f"out of memory: {error}" if str(error) else "out of memory"
     if isinstance(error, OSError) and error.strerror and error.filename:
         return f"{error.filename}: {error.strerror.lower()}"
-    text = str(error).strip()
+    # Mitsuba names the line of its own source, which is of no use to its user.
+    text = re.sub(r"\[\w+\.(cpp|h):\d+\]\s*", "", str(error).strip())
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     if not lines:
         return type(error).__name__
     if "Traceback" not in text and len(lines) == 1:
-        return re.sub(r"^\[\w+\.cpp:\d+\]\s*", "", lines[0])
+        return lines[0]
     place = re.search(r"(At [^:]*?\(line \d+, col \d+\)|While loading \S+ \(near line \d+, col \d+\))", text)
     reason = re.sub(r"^(\w+\.)*\w*Error: ", "", lines[-1])
     return f"{place.group(1)}: {reason}" if place else reason

@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,13 @@ SHARE_OF_ONE = 2 / 3
 DIRECT_TOLERANCE = 1e-6
 """What ``direct`` is asked for behind openings, where it says how finely they are divided."""
 
-QUICK = {"point_sources": (10, 100), "tolerances": (1e-1, 1e-3, 1e-5, 1e-7), "rays": (16, 64), "surfaces": 6, "seconds": 30.0}
+QUICK = {
+    "point_sources": (10, 100),
+    "tolerances": (1e-1, 1e-3, 1e-5, 1e-7),
+    "rays": (16, 64),
+    "surfaces": 6,
+    "seconds": 30.0,
+}
 FULL = {"point_sources": POINT_SOURCES, "tolerances": TOLERANCES, "rays": RAYS, "surfaces": 24, "seconds": 240.0}
 
 WARM_RUNS, WARM_SECONDS = 7, 0.6
@@ -190,9 +197,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 def _parser():
     parser = scene_parser("converge", "Measures error against run time of every method on a scene.")
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
-    parser.add_argument("--point-sources", metavar="10,100,...", help="values of N1 (default: 10 to 1000000, quick: 10, 100)")
     parser.add_argument(
-        "--seconds", type=float, default=None,
+        "--point-sources", metavar="10,100,...", help="values of N1 (default: 10 to 1000000, quick: 10, 100)"
+    )
+    parser.add_argument(
+        "--seconds",
+        type=float,
+        default=None,
         help="what the measurements may take; what would take longer is left out (default: 240, quick: 30)",
     )
     parser.add_argument("--quick", action="store_true", help="few values of everything")
@@ -209,7 +220,9 @@ def _settings(options) -> dict:
         try:
             values = tuple(sorted({int(float(text)) for text in options.point_sources.split(",")}))
         except (ValueError, OverflowError):
-            raise ValueError(f"--point-sources {options.point_sources!r}: must be numbers with commas between") from None
+            raise ValueError(
+                f"--point-sources {options.point_sources!r}: must be numbers with commas between"
+            ) from None
         if values[0] < 1:
             raise ValueError(f"--point-sources {options.point_sources!r}: must be at least 1")
         settings["point_sources"] = values
@@ -256,7 +269,7 @@ class Allowance:
 class Scatter:
     """How sensitivities scatter at one N1: slopes (surfaces,) [unit] of a motion along a detector axis.
 
-    step: displacement [mm or deg] forth and back; spread: standard deviation over surfaces; theory: None where there is none.
+    step: displacement [mm or deg] forth and back; spread: standard deviation over surfaces; theory: None without one.
     """
 
     dof: str
@@ -297,7 +310,9 @@ class Study:
         self.displacement = float(SHARE_OF_RADIUS * radius if np.isfinite(radius) else 2 * assembly.detector.pitch)
         expected = expected_sensitivity(assembly)
         self.expected = {axis: expected[axis] for axis in ("u", "v")}
-        along = [None if values is None else 1e3 * self.displacement * float(values[0]) for values in self.expected.values()]
+        along = [
+            None if values is None else 1e3 * self.displacement * float(values[0]) for values in self.expected.values()
+        ]
         self.theory_shift = None if None in along else along
         self.samples: dict[int, Sample | None] = {}
         points = assembly.target.points
@@ -319,7 +334,7 @@ class Study:
             self.allowance.begin_part(method)
             if method == "direct":
                 self._nodes = _nodes_behind_openings(rows)
-            rows += self._one_method(method, accuracies, lambda: progress.advance(task))
+            rows += self._one_method(method, accuracies, partial(progress.advance, task))
         rows.sort(key=lambda row: (row.point_sources, METHODS.index(row.method)))
         return self._with_shift_errors(rows)
 
@@ -374,7 +389,9 @@ class Study:
             rest = simulate_frame(assembly, poses[0])
             first = time.perf_counter() - begin
         times: list[float] = []
-        while not times or (len(times) < WARM_RUNS and sum(times) + times[-1] < min(WARM_SECONDS, self.allowance.step_left)):
+        while not times or (
+            len(times) < WARM_RUNS and sum(times) + times[-1] < min(WARM_SECONDS, self.allowance.step_left)
+        ):
             begin = time.perf_counter()
             frame = simulate_frame(assembly, poses[(len(times) + 1) % 2])
             times.append(time.perf_counter() - begin)
@@ -471,7 +488,13 @@ class Study:
         slopes = slopes[np.all(np.isfinite(slopes), axis=1)]
         number = {"x": 0, "ry": 4}[dof]
         expected = [None if values is None else float(values[number]) for values in self.expected.values()]
-        size = [abs(value) for value in expected] if None not in expected else np.abs(slopes.mean(axis=0)) if len(slopes) else [1, 0]
+        size = (
+            [abs(value) for value in expected]
+            if None not in expected
+            else np.abs(slopes.mean(axis=0))
+            if len(slopes)
+            else [1, 0]
+        )
         k = int(np.argmax(size))
         values = slopes[:, k]
         mean = float(values.mean()) if len(values) else np.nan
@@ -523,7 +546,9 @@ def _nodes_behind_openings(rows: list[Row]) -> int:
 def _every(grid: PlaneGrid, first: int, step: int) -> PlaneGrid:
     """Every ``step``-th pixel of a grid from ``first`` on, along rows and columns."""
     shape = tuple(len(range(first, n, step)) for n in grid.shape)
-    return replace(grid, origin=grid.origin + first * grid.pitch * (grid.u + grid.v), pitch=step * grid.pitch, shape=shape)
+    return replace(
+        grid, origin=grid.origin + first * grid.pitch * (grid.u + grid.v), pitch=step * grid.pitch, shape=shape
+    )
 
 
 def _predicted(setting: Setting, before: list[tuple[int, float]] | None) -> float:
@@ -639,17 +664,31 @@ def _plot_convergence(path: Path, rows: list[Row], title: str) -> None:
         panel.set_title(f"$N_1$ = {_power(count)}  ({summed:,} summed)", loc="left", fontsize=plots.FONT)
         absent = [m for m in LOOKS if not any(r.method == m and r.status == MEASURED for r in own)]
         if absent:
-            panel.text(0.98, 0.97, f"too slow or not applicable: {', '.join(absent)}", transform=panel.transAxes,
-                       ha="right", va="top", fontsize=plots.FONT - 3, color="0.4")  # fmt: skip
+            panel.text(0.02, 0.02, f"too slow or not applicable: {', '.join(absent)}", transform=panel.transAxes,
+                       ha="left", va="bottom", fontsize=plots.FONT - 3, color="0.4")  # fmt: skip
+    _whole_decades(panels[0, 0])
     for number, panel in enumerate(panels.flat[: len(counts)]):
         if number + columns >= len(counts):
             panel.set_xlabel("run time of a frame (s)")
+            panel.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
             panel.tick_params(labelbottom=True)
     for panel in panels[:, 0]:
         panel.set_ylabel("relative error of the field")
     figure.suptitle(title, x=0.01, ha="left", fontsize=plots.FONT + 1)
     _legend_below(figure, *panels.flat, columns=2)
     plots._write(figure, path)
+
+
+def _whole_decades(axes) -> None:
+    """Limits at powers of ten, so that every axis has two labels at least."""
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    for axis, limits in ((axes.xaxis, axes.set_xlim), (axes.yaxis, axes.set_ylim)):
+        low, high = axis.get_data_interval()
+        if np.isfinite([low, high]).all() and 0 < low <= high:
+            limits(10 ** np.floor(np.log10(low / 1.1)), 10 ** np.ceil(np.log10(high * 1.1)))
+        axis.set_major_locator(LogLocator(numticks=8))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def _legend_below(figure, *axes, columns: int) -> None:
@@ -674,8 +713,17 @@ def _draw_method(panel, rows: list[Row], method: str) -> None:
     # fast and auto often do the same: the open, larger mark of the one shows around the full one of the other.
     face, size = ("none", 7.5) if method == "fast" else (colour, 4.5)
     panel.errorbar(
-        x, np.maximum(y, 1e-16), xerr=np.stack([x - low, high - x]), fmt=f"{marker}-", color=colour, label=name,
-        markersize=size, markerfacecolor=face, linewidth=1.0, elinewidth=0.9, zorder=3 if method != "fast" else 2,
+        x,
+        np.maximum(y, 1e-16),
+        xerr=np.stack([x - low, high - x]),
+        fmt=f"{marker}-",
+        color=colour,
+        label=name,
+        markersize=size,
+        markerfacecolor=face,
+        linewidth=1.0,
+        elinewidth=0.9,
+        zorder=3 if method != "fast" else 2,
     )
     for row in rows:
         if row.rays_per_source == PAPER_RAYS:
@@ -690,7 +738,7 @@ def _power(count: int) -> str:
 
 def _plot_scatter(path: Path, scatter: list[Scatter], name: str) -> None:
     """Left: the mean's statistical error against the number of surfaces. Right: one surface's against N1."""
-    from matplotlib.ticker import FixedLocator, NullLocator
+    from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
     from . import plots
 
@@ -698,7 +746,7 @@ def _plot_scatter(path: Path, scatter: list[Scatter], name: str) -> None:
     left, right = figure.subplots(1, 2, sharey=True)
     # Relative to a sensitivity of next to nothing, such as that of a focused image to tilt, no error means anything.
     moved = max((entry.scale * entry.step for entry in scatter if np.isfinite(entry.scale)), default=0.0)
-    usable = [entry for entry in scatter if entry.spread > 0 and entry.scale * entry.step > 0.1 * moved]
+    usable = [entry for entry in scatter if entry.spread > 0 and entry.scale * entry.step > 0.2 * moved]
     shades = ("#E69F00", "#CC79A7", "#56B4E9", "#0072B2")
     markers = "sv^o"
     for axes in (left, right):
@@ -723,9 +771,12 @@ def _plot_scatter(path: Path, scatter: list[Scatter], name: str) -> None:
                            capsize=2.5, linewidth=1, label=f"{label}, one surface")  # fmt: skip
     if not usable:
         left.text(0.5, 0.5, "no scatter measured", transform=left.transAxes, ha="center", color="0.4")
+    _whole_decades(right)
     for axes in (left, right):
         axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.yaxis.set_minor_formatter("")
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    counts = [entry.point_sources for entry in usable] or [1]
+    right.set_xlim(min(counts) / 2, max(counts) * 2)
     left.xaxis.set_major_locator(FixedLocator(sorted({int(n) for entry in usable for n in entry.of_means()[0]}) or [1]))
     left.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     left.xaxis.set_minor_locator(NullLocator())
@@ -733,7 +784,9 @@ def _plot_scatter(path: Path, scatter: list[Scatter], name: str) -> None:
     right.set_xlabel("point sources $N_1$ inside the beam's radius")
     left.set_ylabel("statistical error of the sensitivity (%)")
     surfaces = max((len(entry.slopes) for entry in scatter), default=0)
-    figure.suptitle(f"{name}: scatter of the sensitivity over {surfaces} surfaces", x=0.01, ha="left", fontsize=plots.FONT + 1)
+    figure.suptitle(
+        f"{name}: scatter of the sensitivity over {surfaces} surfaces", x=0.01, ha="left", fontsize=plots.FONT + 1
+    )
     _legend_below(figure, left, right, columns=3)
     plots._write(figure, path)
 
@@ -749,9 +802,13 @@ def _print_report(study: Study, rows: list[Row], scatter: list[Scatter], system:
     console = Console(width=None if os.isatty(1) else 140, highlight=False)
     for line in study.plan_lines:
         console.print(f"plan: {line}", markup=False)
-    table = Table(title=f"{study.name}: errors of field, phase and shift; warm and first run times; peak memory", box=box.SIMPLE_HEAD, title_justify="left")
-    heads = ("N1", "method", "tol. or N2", "field", "phase (waves)", "shift (um)", "- theory", "frame (ms)", "quartiles",
-             "runs", "first", "MB")  # fmt: skip
+    table = Table(
+        title=f"{study.name}: errors of field, phase and shift; warm and first run times; peak memory",
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+    )
+    heads = ("N1", "method", "tol. or N2", "field", "phase (waves)", "shift (um)", "- theory", "frame (ms)",
+             "quartiles", "runs", "first", "MB")  # fmt: skip
     for number, head in enumerate(heads):
         table.add_column(head, justify="left" if number in (1, 2) else "right", no_wrap=True)
     shown = [row for row in rows if row.status == MEASURED]
@@ -773,8 +830,8 @@ def _cells(row: Row) -> list[str]:
     shift = "lost" if row.shift_u_um is None else "exact" if row.shift_error_um is None else _sig(row.shift_error_um)
     return [
         f"{row.point_sources:,}", row.method, row.accuracy, _sig(row.field_error), _sig(row.phase_error_wavelengths),
-        shift, _sig(row.shift_theory_error_um), _ms(row.seconds_median), quartiles, str(row.runs), _ms(row.seconds_first),
-        "" if row.peak_memory_mb is None else f"{row.peak_memory_mb:.0f}",
+        shift, _sig(row.shift_theory_error_um), _ms(row.seconds_median), quartiles, str(row.runs),
+        _ms(row.seconds_first), "" if row.peak_memory_mb is None else f"{row.peak_memory_mb:.0f}",
     ]  # fmt: skip
 
 
@@ -786,7 +843,11 @@ def _notes(rows: list[Row]) -> list[str]:
             groups.setdefault((row.method, row.point_sources), []).append(row)
     lines = []
     for (method, count), group in groups.items():
-        which = f", {group[0].accuracy}" + (f" to {group[-1].accuracy}" if len(group) > 1 else "") if group[0].accuracy else ""
+        which = (
+            f", {group[0].accuracy}" + (f" to {group[-1].accuracy}" if len(group) > 1 else "")
+            if group[0].accuracy
+            else ""
+        )
         what = method if group[0].status == DOES_NOT_APPLY else f"{method}, N1 = {count:,}{which}"
         lines.append(f"{what}: {group[0].status}, {group[0].note}")
     return lines + sorted({f"{row.method}: {row.note}" for row in rows if row.status == MEASURED and row.note})
@@ -796,10 +857,9 @@ def _print_exact(console, study: Study) -> None:
     held = [f"N1 = {n:,}: {s.field.size} pixels, {s.origin}" for n, s in study.samples.items() if s is not None]
     console.print("errors of field and phase against: " + "; ".join(held), markup=False)
     theory = "none" if study.theory_shift is None else "({:.3f}, {:.3f}) um".format(*study.theory_shift)
-    console.print(
-        f"shift: target moved {1e3 * study.displacement:.3g} um along x, first-order theory {theory}; errors against the most "
-        'exact frames of each N1 ("exact"), and from theory, which one surface only scatters about', markup=False,
-    )  # fmt: skip
+    moved = f"shift: target moved {1e3 * study.displacement:.3g} um along x, first-order theory {theory}"
+    console.print(f'{moved}; errors against the most exact frames of each N1 ("exact"), and from theory, '
+                  "which one surface only scatters about", markup=False)  # fmt: skip
 
 
 def _print_scatter(console, scatter: list[Scatter]) -> None:
@@ -814,8 +874,14 @@ def _print_scatter(console, scatter: list[Scatter]) -> None:
     for e in scatter:
         theory = "-" if e.theory is None else f"{e.theory:+.4f}"
         of_mean = e.spread / np.sqrt(max(len(e.slopes), 1))
-        table.add_row(e.dof, e.axis, f"{e.point_sources:,}", str(len(e.slopes)), f"{e.mean:+.4f} {e.unit}", theory,
-                      f"{e.spread:.4f}", f"{of_mean:.4f}")  # fmt: skip
+        values = (f"{e.mean:+.4f} {e.unit}", theory, f"{e.spread:.4f}", f"{of_mean:.4f}")
+        table.add_row(
+            e.dof,
+            e.axis,
+            f"{e.point_sources:,}",
+            str(len(e.slopes)),
+            *(values if e.slopes else ("not measured", theory)),
+        )
     console.print(table)
 
 

@@ -35,7 +35,7 @@ WINDOW_SHARE = 0.625
 SMALLEST_WINDOW = 48
 """Side below which a window is not shrunk to the light [px]."""
 
-LIT_CORNERS = 0.5
+LIT_CORNERS = 0.7
 """Least mean intensity in the four quarter-size corners of a window, relative to the whole, for it to count as lit."""
 
 SHRINKING = 0.9

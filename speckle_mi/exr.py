@@ -7,7 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -108,7 +108,8 @@ def _library_muted() -> Iterator[None]:
     try:
         for number, _ in kept:
             os.dup2(nowhere, number)
-        yield
+        with redirect_stdout(None):  # its Python side prints too
+            yield
     finally:
         if sys.platform != "win32":
             ctypes.CDLL(None).fflush(None)  # what the library has written but not yet sent

@@ -65,6 +65,9 @@ def mesh_from_file(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     faces = np.array(mesh.faces_buffer(), dtype=np.int64).reshape(-1, 3)
     if len(faces) == 0 or not np.all(np.isfinite(vertices)):
         raise SceneError(f"{where}: {path.name!r} holds {len(faces)} faces, must hold at least one, with finite vertices")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        wrong = faces.min() if faces.min() < 0 else faces.max()
+        raise SceneError(f"{where}: {path.name!r} has a face with vertex {wrong}, must be one of 0 to {len(vertices) - 1}")
     return vertices, faces
 
 

@@ -19,6 +19,10 @@ RIGID_TOLERANCE = 1e-6
 """Largest deviation of a transform's axes from orthonormal, which leaves room for single-precision input."""
 
 
+FARTHEST = 1e6
+"""Largest coordinate of a part [mm]; a path of twice as much holds 1e-6 of a wavelength in double precision."""
+
+
 class SceneError(ValueError):
     """Something in a scene that cannot be used; the message says what and what would be right."""
 
@@ -118,6 +122,10 @@ def check_rigid(where: str, matrix: np.ndarray) -> np.ndarray:
     if not np.all(np.isfinite(matrix)):
         raise SceneError(f"{where}: 'to_world' holds {matrix[~np.isfinite(matrix)][0]}, must be finite")
     axes = matrix[:3, :3]
+    if np.max(np.abs(matrix[:3, 3])) > FARTHEST:
+        raise SceneError(
+            f"{where}: 'to_world' moves by {np.max(np.abs(matrix[:3, 3])):g} mm, must stay within {FARTHEST:g} mm of the origin"
+        )
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=RIGID_TOLERANCE):
         raise SceneError(f"{where}: 'to_world' has the last row {matrix[3].tolist()}, must be 0 0 0 1 (no perspective)")
     scales = np.linalg.norm(axes, axis=0)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .theory import require_positive
+
 
 @dataclass(frozen=True)
 class CardinalPoints:
@@ -34,9 +36,9 @@ def system_matrix(surfaces: Sequence[tuple[float, float, float]], index: float =
     Rays are (height, n angle); the determinant is 1.
     """
     matrix = np.eye(2)
-    before = _positive("index", index)
+    before = require_positive("index", index)
     for curvature, distance, behind in surfaces:
-        behind = _positive("index", behind)
+        behind = require_positive("index", behind)
         refraction = np.array([[1.0, 0.0], [-(behind - before) * curvature, 1.0]])
         matrix = np.array([[1.0, distance / behind], [0.0, 1.0]]) @ refraction @ matrix
         before = behind

@@ -10,8 +10,8 @@ from . import __version__
 from .assembly import Assembly
 from .exr import FieldImage
 from .geometry import Frame, Pose
-from .fields import channel_field, ray_channel
-from .plan import Plan, make_plan
+from .fields import ChannelField, channel_field, ray_channel
+from .plan import Channel, Plan, make_plan
 from .surface import Scatterers, illuminated_points, illuminated_scatterers
 from .visibility import pixels_in_view, visible_scatterers
 
@@ -117,24 +117,31 @@ def _field(
     assembly: Assembly, frame: Frame, scatterers: Scatterers, plan: Plan, offset: tuple[float, float]
 ) -> tuple[np.ndarray, list[str], float]:
     """Sum of all channels' fields at the pixel centres, shifted by ``offset`` pixels along u and v."""
-    total, lines, errors = np.zeros(assembly.detector.shape, complex), list(plan.lines), []
-    if scatterers.count == 0:
-        return total, ["no scatterer is lit and seen, nothing is summed"], 0.0
-    for channel in plan.channels:
-        grid = channel.grid
-        grid = replace(grid, origin=grid.origin + grid.pitch * (offset[0] * grid.u + offset[1] * grid.v))
-        if assembly.options.method == "rays":
-            part = ray_channel(assembly, frame, scatterers, channel, grid)
-        else:
-            part = channel_field(assembly, frame, scatterers, channel, grid)
-        values = part.field
-        if not channel.interactions:
-            values = values * pixels_in_view(assembly, frame, grid)
-        total += values
-        lines += part.lines
-        errors.append(part.error * np.linalg.norm(part.field))
+    lines = list(plan.lines)
+    if scatterers.count == 0 or not plan.channels:
+        return np.zeros(assembly.detector.shape, complex), [*lines, "nothing is summed: no light reaches the detector"], 0.0
+    parts = [_part(assembly, frame, scatterers, channel, offset) for channel in plan.channels]
+    lines += [line for part in parts for line in part.lines]
+    if len(parts) == 1:
+        return parts[0].field, lines, parts[0].error
+    total = sum(part.field for part in parts)
+    error = np.sqrt(sum((part.error * np.linalg.norm(part.field)) ** 2 for part in parts))
     norm = np.linalg.norm(total)
-    return total, lines, float(np.sqrt(np.sum(np.square(errors))) / norm) if norm > 0 else 0.0
+    return total, lines, float(error / norm) if norm > 0 else 0.0
+
+
+def _part(
+    assembly: Assembly, frame: Frame, scatterers: Scatterers, channel: Channel, offset: tuple[float, float]
+) -> ChannelField:
+    """What one channel brings to the pixel centres, shifted by ``offset`` pixels along u and v."""
+    grid = channel.grid
+    grid = replace(grid, origin=grid.origin + grid.pitch * (offset[0] * grid.u + offset[1] * grid.v))
+    by_rays = assembly.options.method == "rays"
+    part = (ray_channel if by_rays else channel_field)(assembly, frame, scatterers, channel, grid)
+    if channel.interactions:
+        return part
+    seen = pixels_in_view(assembly, frame, grid)
+    return part if np.all(seen) else replace(part, field=part.field * seen)
 
 
 def _intensity(values: np.ndarray) -> np.ndarray:

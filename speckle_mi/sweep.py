@@ -199,20 +199,30 @@ def run_sweep(assembly, settings: SweepSettings, frames: Path, result: SweepResu
     total = len(settings.seeds) * (1 + len(settings.dofs) * len(settings.displacements))
     with ThreadPoolExecutor(max_workers=1) as writer, _progress(quiet) as progress:
         task = progress.add_task("frames", total=total)
-        pending: list[Future] = []
+        writes: list[Future] = []
 
         def make(surface, pose: Pose, name: str):
             frame = _simulated(surface, pose, result)
-            while len(pending) >= _PENDING_WRITES:
-                pending.pop(0).result()
-            pending.append(writer.submit(write_field, frames / f"{name}.exr", frame.image))
+            if len(writes) >= _PENDING_WRITES:
+                writes[-_PENDING_WRITES].result()
+            writes.append(writer.submit(write_field, frames / f"{name}.exr", frame.image))
             progress.advance(task)
             return frame.image
 
-        for seed in settings.seeds:
-            _sweep_surface(assembly.with_seed(seed), seed, settings, result, make)
-        for write in pending:
-            write.result()
+        try:
+            for seed in settings.seeds:
+                _sweep_surface(assembly.with_seed(seed), seed, settings, result, make)
+            for write in writes:
+                write.result()
+        except BaseException:
+            # Interrupted, or the disk is full: what is not on disk does not stand in the table either.
+            writer.shutdown(cancel_futures=True)
+            result.records[:] = [record for record, write in zip(result.records, writes) if _is_written(write)]
+            raise
+
+
+def _is_written(write: Future) -> bool:
+    return not write.cancelled() and write.exception() is None
 
 
 def _sweep_surface(assembly, seed: int, settings: SweepSettings, result: SweepResult, make) -> None:

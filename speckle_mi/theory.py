@@ -224,7 +224,7 @@ def beam_displacement_of_material(
 def decorrelation_in_plane(shift_perpendicular: np.ndarray | float, beam_radius: float) -> np.ndarray:
     """Correlation exp(-a^2/w^2) after the material moved by a [mm] across a Gaussian beam of 1/e^2 radius w [mm]."""
     shift = np.asarray(shift_perpendicular, dtype=np.float64)
-    return np.exp(-((shift / _positive("beam_radius", beam_radius)) ** 2))
+    return np.exp(-((shift / require_positive("beam_radius", beam_radius)) ** 2))
 
 
 def decorrelation_axial(
@@ -234,9 +234,9 @@ def decorrelation_axial(
 
     b = (k w^2 a_z/4)(1/L_O^2 + 1/L_S^2): the paths' curvature changes across the Gaussian spot of radius w. All [mm].
     """
-    curvature = 1 / _positive("detector_distance", detector_distance) ** 2 + _curvature(wavefront_radius) ** 2
-    wavenumber = 2 * np.pi / _positive("wavelength", wavelength)
-    phase = wavenumber * _positive("beam_radius", beam_radius) ** 2 / 4 * np.asarray(motion, np.float64) * curvature
+    curvature = 1 / require_positive("detector_distance", detector_distance) ** 2 + _curvature(wavefront_radius) ** 2
+    wavenumber = 2 * np.pi / require_positive("wavelength", wavelength)
+    phase = wavenumber * require_positive("beam_radius", beam_radius) ** 2 / 4 * np.asarray(motion, np.float64) * curvature
     return 1 / (1 + phase**2)
 
 
@@ -262,7 +262,7 @@ def contrast_of_equal_phasors(count: np.ndarray | int) -> np.ndarray:
 
 def intensity_pdf(intensity: np.ndarray, mean: float = 1.0) -> np.ndarray:
     """Probability density exp(-I/<I>)/<I> of fully developed, polarised speckle; 0 below I = 0 [3]."""
-    mean = _positive("mean", mean)
+    mean = require_positive("mean", mean)
     intensity = np.asarray(intensity, dtype=np.float64)
     return np.where(intensity >= 0, np.exp(-np.maximum(intensity, 0) / mean) / mean, 0.0)
 
@@ -274,8 +274,8 @@ def coherence_gaussian_beam(
 
     Beam, detector and target all face one another; `speckle_shape_gaussian_beam` is the formula for any tilt. [3]
     """
-    blur = _positive("wavelength", wavelength) * _positive("distance", distance)
-    scale = np.pi * _positive("beam_radius", beam_radius) / blur
+    blur = require_positive("wavelength", wavelength) * require_positive("distance", distance)
+    scale = np.pi * require_positive("beam_radius", beam_radius) / blur
     return np.exp(-((scale * np.asarray(separation, dtype=np.float64)) ** 2))
 
 
@@ -297,14 +297,14 @@ def speckle_shape_gaussian_beam(
     Raises ValueError for grazing light or a detector at the spot.
     """
     sight = np.asarray(detector_centre, dtype=np.float64) - np.asarray(spot, dtype=np.float64)
-    distance = _positive("detector distance", float(np.linalg.norm(sight)))
+    distance = require_positive("detector distance", float(np.linalg.norm(sight)))
     to_laser, normal = _unit("source_direction", source_direction), _unit("normal", normal)
     if abs(to_laser @ normal) < GRAZING_COSINE:
         raise ValueError(f"grazing illumination: source_direction {_text(to_laser)} lies in the surface, must leave it")
     tangents = _tangents(normal)
-    footprint = _positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(tangents @ _across(to_laser) @ tangents.T)
+    footprint = require_positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(tangents @ _across(to_laser) @ tangents.T)
     gradient = tangents @ _across(sight / distance) @ _detector_axes(u, v) / distance
-    return (np.pi / _positive("wavelength", wavelength)) ** 2 * gradient.T @ footprint @ gradient
+    return (np.pi / require_positive("wavelength", wavelength)) ** 2 * gradient.T @ footprint @ gradient
 
 
 def speckle_size_gaussian_beam(
@@ -338,7 +338,7 @@ def shift_scatter(
     """
     correlation = np.asarray(correlation, dtype=np.float64)
     lost = np.where(correlation > 0, (1 - correlation) / np.where(correlation > 0, correlation, 1.0), np.inf)
-    scale = factor * _positive("speckle_size_px", speckle_size_px) ** 2 / _positive("window_px", window_px)
+    scale = factor * require_positive("speckle_size_px", speckle_size_px) ** 2 / require_positive("window_px", window_px)
     return scale * np.sqrt(np.maximum(lost, 0.0))
 
 
@@ -377,7 +377,7 @@ def _curvature(wavefront_radius: float) -> float:
     return 1 / radius
 
 
-def _positive(name: str, value: float) -> float:
+def require_positive(name: str, value: float) -> float:
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name} = {value}: must be positive")
     return float(value)

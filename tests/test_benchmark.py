@@ -44,7 +44,9 @@ def test_peers_in_float64_are_the_exact_sum(sources):
 
 
 @pytest.mark.parametrize("shape", [(8, 12), (9, 12), (9, 13)])
-@pytest.mark.parametrize("axes", [((1.0, 0, 0), (0, -1.0, 0)), ((0, 1.0, 0), (1.0, 0, 0)), ((-1.0, 0, 0), (0, -1.0, 0))])
+@pytest.mark.parametrize(
+    "axes", [((1.0, 0, 0), (0, -1.0, 0)), ((0, 1.0, 0), (1.0, 0, 0)), ((-1.0, 0, 0), (0, -1.0, 0))]
+)
 def test_fresnel_sum_is_exact_far_away_for_any_axes_and_parity(sources, shape, axes):
     """At 10 m the first neglected term of the path, (D - P)^4/(8 L^3), is below 1e-9 wavelengths."""
     grid = grid_at(10_000.0, shape, 1.0, *axes)
@@ -64,7 +66,9 @@ def test_quick_benchmark_reports_ours_beside_the_peers(mitsuba, tmp_path, capsys
         assert entries["NumPy float64"]["error"] < ROUNDING
         assert all(entry["seconds"] > 0 for entry in entries.values())
     assert {"frames", "pixels_x4_finer", "pixels_x4_larger", "rank"} <= set(content["scaling"])
-    assert {"direct kernel", "correlation of a frame", "EXR writing", "start-up and one frame, warm"} <= set(content["pieces"])
+    assert {"direct kernel", "correlation of a frame", "EXR writing", "start-up and one frame, warm"} <= set(
+        content["pieces"]
+    )
     text = capsys.readouterr().out
     for word in ("processor", "ours faster by", "billion pairs a second"):
         assert word in text

@@ -259,10 +259,23 @@ def test_a_window_that_does_not_fit_is_refused(window):
 
 
 def test_the_default_window_leaves_room_to_search():
-    assert Correlator(np.eye(480, 744)).window == (256, 256)
-    assert Correlator(np.eye(64, 64)).window == (40, 40)
-    assert Correlator(np.eye(1, 4096)).window == (1, 256)
-    assert Correlator(np.eye(480, 744), 64).window == (64, 64)
+    def speckle(*shape):
+        return np.random.default_rng(5).exponential(size=shape)
+
+    assert Correlator(speckle(480, 744)).window == (256, 256)
+    assert Correlator(speckle(64, 64)).window == (40, 40)
+    assert Correlator(speckle(1, 4096)).window == (1, 256)
+    assert Correlator(speckle(480, 744), 64).window == (64, 64)
+
+
+def test_the_default_window_lies_inside_a_lit_disc():
+    # An aperture lights a disc that stands still while its speckle moves: its edge must stay outside the window.
+    rows, columns = np.mgrid[:480, :744]
+    disc = np.hypot(rows - 239.5, columns - 371.5) < 110
+    reference = disc * np.random.default_rng(5).exponential(size=(480, 744))
+    side = Correlator(reference).window[0]
+    assert 100 < side < 1.25 * np.sqrt(2) * 110  # at most a few dark pixels in the corners
+    assert Correlator(reference, 256).window == (256, 256)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (2, 2), (3, 3), (1, 5), (5, 7)])

@@ -1,0 +1,58 @@
+"""Reads examples from files, each with a loader that must refuse or accept it, and writes what came of each.
+
+    python fuzz_worker.py {scene|exr} EXAMPLES.jsonl OUTCOMES.jsonl
+
+Runs in a process of its own, so that an abort, a crash or a hang is seen from outside: the outcomes then end early.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+
+def main(kind: str, examples: str, outcomes: str) -> None:
+    judge = {"scene": judge_scene, "exr": judge_exr}[kind]
+    with tempfile.TemporaryDirectory() as folder, open(examples, encoding="utf-8") as given, open(outcomes, "w", encoding="utf-8") as out:
+        for line in given:
+            start = time.perf_counter()
+            outcome, message = judge(base64.b64decode(json.loads(line)), Path(folder))
+            out.write(json.dumps([outcome, message, time.perf_counter() - start]) + "\n")
+            out.flush()
+
+
+def judge_scene(content: bytes, folder: Path) -> tuple[str, str]:
+    from speckle_mi.assembly import assembly_from_scene
+    from speckle_mi.cli import load_scene, one_line
+
+    path = folder / "scene.xml"
+    path.write_bytes(content)
+    try:
+        assembly_from_scene(load_scene(str(path), [], "llvm_ad_mono"))
+    except (ValueError, OSError, RuntimeError, MemoryError) as error:  # what the commands turn into one line
+        return "refused", one_line(error)
+    except Exception as error:
+        return "fell over", repr(error)
+    return "accepted", ""
+
+
+def judge_exr(content: bytes, folder: Path) -> tuple[str, str]:
+    from speckle_mi.exr import FieldImageError, read_field
+
+    path = folder / "image.exr"
+    path.write_bytes(content)
+    try:
+        image = read_field(path)
+    except FieldImageError as error:
+        return "refused", str(error)
+    except Exception as error:
+        return "fell over", repr(error)
+    return ("accepted", "") if image.intensity.ndim == 2 else ("fell over", f"shape {image.intensity.shape}")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
