@@ -77,6 +77,8 @@ def require_folder(path: str) -> None:
     folder = Path(path).parent
     if not folder.is_dir():
         raise FileNotFoundError(f"{path}: the folder {str(folder)!r} does not exist")
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(f"{path}: the folder {str(folder)!r} may not be written to")
     if Path(path).is_dir():
         raise IsADirectoryError(f"{path}: is a folder, must be the name of a file")
 

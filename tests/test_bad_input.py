@@ -153,7 +153,8 @@ def test_a_missing_part_is_named(mitsuba, part, word):
 
 @pytest.mark.parametrize("part, plugin", [("laser", "laser"), ("target", "rough_target"), ("detector", "detector")])
 def test_a_part_that_is_there_twice_is_named(mitsuba, part, plugin):
-    second = re.sub(r'id="\w+"', 'id="other"', PARTS[part])
+    # Mitsuba makes one of two parts that are alike in everything but their names.
+    second = re.sub(r'id="\w+"', 'id="other"', PARTS[part]).replace('value="0.006"', 'value="0.003"')
     is_clear(refusal(mitsuba, scene_with(second=second)), "2 of", plugin, "other")
     is_clear(refusal(mitsuba, scene_with(second=PARTS[part])), "duplicate", part)
 

@@ -8,7 +8,7 @@ import pytest
 
 from speckle_mi.geometry import PlaneGrid, PlanePoints
 from speckle_mi.propagation import FreeSpace, RayleighSommerfeld, coherent_sum
-from speckle_mi.propagation.bandlimited import extreme_sources, node_grid
+from speckle_mi.propagation.bandlimited import node_grid, reach_of
 from speckle_mi.propagation.chebyshev import (
     TensorSeries,
     chebyshev_nodes,
@@ -90,10 +90,11 @@ def test_flat_spot_has_a_flat_box_whatever_its_tilt():
 
 
 def test_field_of_a_small_spot_needs_far_fewer_nodes_than_pixels():
-    sources, _ = spot(1000, 0.12, 1e-3)
+    sources, weights = spot(1000, 0.12, 1e-3)
     grid = detector(60.0, shape=(480, 744), pitch=0.006)
     box = SourceBox.around(sources, grid.u)
-    nodes = node_grid(FreeSpace(), extreme_sources(FreeSpace(), sources, box, grid), grid, WAVELENGTH, 1e-4)
+    reach = reach_of(FreeSpace(), sources, weights, box, grid)
+    nodes = node_grid(FreeSpace(), reach, grid, WAVELENGTH, 1e-4)
     assert nodes.size * 20 < grid.size
 
 

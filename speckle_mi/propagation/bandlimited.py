@@ -26,6 +26,12 @@ from .sources import SourceBox, for_chunks
 PROBES = 17
 """Places along each side of the target where the local bandwidth is measured."""
 
+REACH_BINS = 32
+"""Bins of a source's bandwidth relative to the outermost one's, in which power is counted."""
+
+POWER_SAMPLE = 1 << 16
+"""Sources from which the spread of the power is estimated, evenly taken from all."""
+
 BANDWIDTH_MARGIN = 1.02
 """Covers what the secants between probes miss of the steepest slope."""
 
@@ -40,25 +46,76 @@ def _regular_matrix(count: int, pixels: int, double: bool) -> np.ndarray:
     return matrix if double else matrix.astype(np.float32)
 
 
-@lru_cache(maxsize=256)
-def nodes_for(half_turns: float, tolerance: float) -> int:
-    """Chebyshev nodes that carry every e^{2 pi i s x}, |s| <= ``half_turns``, |x| <= 1, to ``tolerance``.
+@lru_cache(maxsize=64)
+def _tails(half_turns: float) -> np.ndarray:
+    """(REACH_BINS, n) error of n Chebyshev nodes for e^{2 pi i s x}, |x| <= 1, s the upper edge of each bin of reach.
 
     The Chebyshev coefficients of a plane wave are 2 i^n J_n(2 pi s): the sum of those left out bounds the error.
     """
     bandwidth = 2 * np.pi * half_turns
     order = np.arange(int(bandwidth + 12 * bandwidth ** (1 / 3) + 60))
-    tail = np.cumsum(2 * np.abs(jv(order, bandwidth))[::-1])[::-1]
+    reach = (np.arange(REACH_BINS) + 1) / REACH_BINS
+    return np.cumsum(2 * np.abs(jv(order, bandwidth * reach[:, None]))[:, ::-1], axis=1)[:, ::-1]
+
+
+def nodes_for(half_turns: float, power: np.ndarray, tolerance: float) -> int:
+    """Chebyshev nodes that carry the field of sources to the relative L2 ``tolerance``.
+
+    half_turns: bandwidth of the outermost source; power: (REACH_BINS,) share of the sources' power by their bandwidth
+    relative to that. Outer sources that bring little light may be carried less well.
+    """
+    error = np.sqrt(power @ np.minimum(_tails(half_turns), 2.0) ** 2)
     # Two nodes more for the amplitude, which varies slowly but varies.
-    return int(np.argmax(tail < tolerance)) + 2
+    return int(np.argmax(error < tolerance)) + 2
 
 
-def extreme_sources(path: Path, sources: np.ndarray, box: SourceBox, target: PlaneGrid | PlanePoints) -> np.ndarray:
-    """The box centre and the sources that bound the bandwidth, (1 + q, 3) [mm].
+@dataclass(frozen=True)
+class Reach:
+    """How far sources reach along the directions that set the bandwidth.
+
+    bounds: (1 + q, 3) the box centre and the outermost sources [mm]; power: (2, REACH_BINS) share of the sources' power
+    by their reach relative to the outermost, for the target's u and v.
+    """
+
+    bounds: np.ndarray
+    power: np.ndarray
+
+
+def reach_of(
+    path: Path, sources: np.ndarray, weights: np.ndarray, box: SourceBox, target: PlaneGrid | PlanePoints
+) -> Reach:
+    """The outermost sources, and how the power |c|^2 is spread between the middle and them.
 
     The slope of the path along u or v is nearly linear in the source, with a direction in the box that is measured at
     the middle and the corners of the target; the sources farthest along these directions bound it.
     """
+    directions, axes = _slope_directions(path, box, target)
+    if not len(directions):
+        return Reach(box.centre[None], np.full((2, REACH_BINS), 1 / REACH_BINS))
+
+    def extremes(chunk: slice) -> np.ndarray:
+        along = directions @ box.to_local(sources[chunk]).T.astype(np.float32)
+        return chunk.start + np.concatenate([along.argmax(axis=1), along.argmin(axis=1)])
+
+    found = np.unique(np.concatenate(for_chunks(extremes, len(sources))))
+    # Each chunk has its extremes; those of them all are among these.
+    along = directions @ box.to_local(sources[found]).T
+    bounds = np.vstack([box.centre, sources[found[np.unique([along.argmax(axis=1), along.argmin(axis=1)])]]])
+    farthest = np.abs(along).max(axis=1)
+    some = slice(None, None, max(1, len(sources) // POWER_SAMPLE))
+    relative = np.abs(directions @ box.to_local(sources[some]).T) / np.where(farthest > 0, farthest, 1.0)[:, None]
+    share = np.abs(weights[some]) ** 2
+    power = np.zeros((2, REACH_BINS))
+    for axis in (0, 1):
+        if np.any(axes == axis) and share.sum() > 0:
+            reach = relative[axes == axis].max(axis=0)
+            place = np.minimum(np.ceil(reach * REACH_BINS).astype(int), REACH_BINS) - 1
+            power[axis] = np.bincount(np.maximum(place, 0), share, minlength=REACH_BINS) / share.sum()
+    return Reach(bounds, power)
+
+
+def _slope_directions(path: Path, box: SourceBox, target: PlaneGrid | PlanePoints) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (q, 3) in the box along which the path's slope on the target grows, and of which axis (q,) it is."""
     rectangle = Rectangle.around(target)
     faces = box.to_world(np.vstack([np.eye(3), -np.eye(3)]))
     directions = []
@@ -74,18 +131,9 @@ def extreme_sources(path: Path, sources: np.ndarray, box: SourceBox, target: Pla
             directions.append(slope[:3] - slope[3:])
     directions = np.array(directions)
     norm = np.linalg.norm(directions, axis=1)
-    if not norm.any():
-        return box.centre[None]
-    directions = (directions[norm > 0] / norm[norm > 0, None]).astype(np.float32)
-
-    def extremes(chunk: slice) -> np.ndarray:
-        along = directions @ box.to_local(sources[chunk]).T.astype(np.float32)
-        return chunk.start + np.concatenate([along.argmax(axis=1), along.argmin(axis=1)])
-
-    found = np.unique(np.concatenate(for_chunks(extremes, len(sources))))
-    # Each chunk has its extremes; those of them all are among these.
-    along = directions @ box.to_local(sources[found]).T
-    return np.vstack([box.centre, sources[found[np.unique([along.argmax(axis=1), along.argmin(axis=1)])]]])
+    moving = norm > 0
+    axes = np.arange(len(directions)) % 2
+    return (directions[moving] / norm[moving, None]).astype(np.float32), axes[moving]
 
 
 def local_bandwidth(
@@ -124,14 +172,14 @@ class NodeGrid:
 
 
 def node_grid(
-    path: Path, box: np.ndarray, target: PlaneGrid | PlanePoints, wavelength: float, tolerance: float
+    path: Path, reach: Reach, target: PlaneGrid | PlanePoints, wavelength: float, tolerance: float
 ) -> NodeGrid:
-    """Nodes that carry the field of sources within ``box`` to the relative L2 ``tolerance``."""
+    """Nodes that carry the field of sources of that reach to the relative L2 ``tolerance``."""
     rectangle = Rectangle.around(target)
-    bandwidth = local_bandwidth(path, box, target, rectangle, wavelength)
+    bandwidth = local_bandwidth(path, reach.bounds, target, rectangle, wavelength)
     count = tuple(
-        nodes_for(_upward(rate * (side[1] - side[0]) / 2), tolerance / 4) if side[1] > side[0] else 1
-        for rate, side in zip(bandwidth, (rectangle.a, rectangle.b), strict=True)
+        nodes_for(_upward(rate * (side[1] - side[0]) / 2), power, tolerance) if side[1] > side[0] else 1
+        for rate, side, power in zip(bandwidth, (rectangle.a, rectangle.b), reach.power, strict=True)
     )
     return NodeGrid(count, rectangle)
 
@@ -152,7 +200,7 @@ def band_limited_sum(
 ) -> np.ndarray:
     """Field on the target, complex128 of its shape, from the field that ``evaluate`` gives on the nodes.
 
-    reference: (3,) the point P0 whose phase is the common one, as given to ``node_grid`` (box[0]).
+    reference: (3,) the point P0 whose phase is the common one, as in ``Reach.bounds[0]``.
     """
     double = tolerance < 4 * SINGLE_PRECISION
     places = nodes.points(target)

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from ..geometry import PlaneGrid, PlanePoints
-from .bandlimited import NodeGrid, band_limited_sum, extreme_sources, node_grid
+from .bandlimited import NodeGrid, band_limited_sum, node_grid, reach_of
 from .device import active_variant
 from .direct import SINGLE_PRECISION, Extent, direct_sum, supports
 from .interpolated import interpolated
@@ -141,8 +141,8 @@ class Task:
 
     @cached_property
     def nodes(self) -> NodeGrid:
-        bounds = extreme_sources(self.path, self.sources, self.box, self.target)
-        return node_grid(self.path, bounds, self.target, self.wavelength, self.tolerance)
+        reach = reach_of(self.path, self.sources, self.weights, self.box, self.target)
+        return node_grid(self.path, reach, self.target, self.wavelength, self.tolerance)
 
     @property
     def touching(self) -> bool:

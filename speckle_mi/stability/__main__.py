@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     finally:
         # An interrupted run keeps what it has found.
         if folder is not None:
-            write_table(folder, checks)
+            write_table(folder, checks, "quick" if options.quick else "whole")
     if not options.quiet:
         print_table(checks)
     broken = sum(check.verdict == BROKEN for check in checks)
@@ -64,8 +64,8 @@ def catalogue(quick: bool = False, progress: bool = False) -> Iterator[Check]:
             bar.advance(task)
 
 
-def write_table(folder: Path, checks: Sequence[Check]) -> None:
-    """Writes stability.csv and stability.json, each whole or not at all."""
+def write_table(folder: Path, checks: Sequence[Check], name: str) -> None:
+    """Writes stability.csv and stability.json of the catalogue ``name``, each whole or not at all."""
     from ..report import write_json
 
     names = [column.name for column in fields(Check)]
@@ -73,7 +73,7 @@ def write_table(folder: Path, checks: Sequence[Check]) -> None:
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         writer.writerows(asdict(check) for check in checks)
-    write_json(folder / "stability.json", {"checks": [asdict(check) for check in checks]})
+    write_json(folder / "stability.json", {"catalogue": name, "checks": [asdict(check) for check in checks]})
 
 
 def print_table(checks: Sequence[Check]) -> None:

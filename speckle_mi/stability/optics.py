@@ -176,7 +176,7 @@ def foci_without_a_stop(quick: bool):
     stopped = bench.with_(elements=(ball, aperture(10.0, radius=0.4, outer_radius=5.0)), integrator={"diffraction": False})
     yield declined("caustic", "geometric light of a ball lens in its focus", stopped.frame, "focus", "diffraction")
     yield declined("caustic", "lens without a stop, detector in its focus",
-                   Bench(detector_distance=199.1, detector=near, elements=(lens(97.0685, **THICK),)).frame, "focus")
+                   Bench(detector_distance=199.1, detector=near, elements=(lens(97.0685, **THICK),)).frame, "aperture")
 
 
 def caustic_of_a_ball_lens(quick: bool):
