@@ -23,6 +23,9 @@ AXES = (*PATTERN_AXES, *CENTRE_AXES)
 _ASTIGMATISM = 0.02
 """Relative difference of the two principal defoci up to which a system counts as one that images a plane."""
 
+_ZONES = 6
+"""Rings, and half the rays a ring, over which a system's lever is averaged."""
+
 _STEP = 1e-4
 """Step [mm, rad] of the difference quotients along a chief ray."""
 
@@ -133,10 +136,12 @@ def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | N
 
 @dataclass(frozen=True)
 class _ChiefRay:
-    """The ray from the spot through the opening's middle, and its neighbours.
+    """The ray from the spot through the opening's middle, and what its neighbours do, averaged over the opening.
 
     sight: (3,) its direction at the spot; across: (2, 3) unit vectors across it; magnification, lever: (2, 2) motion of
-    its end on the detector per shift [mm/mm] and per tilt [mm/rad] of its beginning; distance: to the opening [mm].
+    a ray's end on the detector per shift [mm/mm] and per tilt [mm/rad] of its beginning; distance: to the opening [mm].
+    With spherical aberration the rays through different zones of the opening have different levers, and the pattern
+    follows their mean.
     """
 
     sight: np.ndarray
@@ -148,8 +153,9 @@ class _ChiefRay:
 
 def _chief_ray(assembly: Assembly, channel: Channel) -> _ChiefRay | None:
     spot = assembly.target.spot
-    launch = _launch_to_opening(channel, spot[None])
-    if launch is None:
+    launch = _launch_to(channel, spot[None], _opening_middle(channel))
+    zones = _launch_to(channel, spot[None], _opening_zones(channel))
+    if launch is None or zones is None:
         return None
     sight = launch[0]
     first = np.cross(sight, assembly.target.frame.axes[:, 1])
@@ -157,33 +163,53 @@ def _chief_ray(assembly: Assembly, channel: Channel) -> _ChiefRay | None:
         first = np.cross(sight, assembly.target.frame.axes[:, 0])
     first /= -np.linalg.norm(first)
     across = np.stack([first, np.cross(sight, first)])
-    signs = np.array([1.0, -1.0])
-    shifts = np.concatenate([np.outer(signs, a) for a in across]) * _STEP
-    origins = np.concatenate([spot + shifts, np.broadcast_to(spot, shifts.shape)])
-    directions = np.concatenate([np.broadcast_to(sight, shifts.shape), sight + shifts])
+    shifts = np.concatenate([np.outer([1.0, -1.0], a) for a in across]) * _STEP
+    still = np.zeros_like(shifts)
+    starts, tilts = np.concatenate([shifts, still]), np.concatenate([still, shifts])
+    origins = np.tile(spot + starts, (len(zones), 1))
+    directions = np.repeat(zones, len(tilts), axis=0) + np.tile(tilts, (len(zones), 1))
     ends = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), origins, directions).points[-1]
     if not np.all(np.isfinite(ends)):
         return None
-    ends = np.stack([ends @ channel.grid.u, ends @ channel.grid.v])
+    ends = np.stack([ends @ channel.grid.u, ends @ channel.grid.v]).reshape(2, len(zones), 8).mean(axis=1)
     slopes = (ends[:, 0::2] - ends[:, 1::2]) / (2 * _STEP)
-    end = channel.openings[0].plane.frame.origin if channel.openings else channel.grid.centre
-    return _ChiefRay(sight, across, slopes[:, :2], slopes[:, 2:], float(np.linalg.norm(end - spot)))
+    distance = float(np.linalg.norm(_opening_middle(channel) - spot))
+    return _ChiefRay(sight, across, slopes[:, :2], slopes[:, 2:], distance)
 
 
-def _launch_to_opening(channel: Channel, sources: np.ndarray) -> np.ndarray | None:
-    """Directions (n, 3) of the rays from sources to the middle of the first opening, or of the detector."""
-    if channel.openings:
-        rim = channel.openings[0]
-        middle, end = rim.plane.frame.origin, Interaction.through(Surface(rim.plane.frame), rim.index)
+def _opening_middle(channel: Channel) -> np.ndarray:
+    """(1, 3) the middle of the first opening, or of the detector [mm]."""
+    return channel.openings[0].plane.frame.origin[None] if channel.openings else channel.grid.centre[None]
+
+
+def _opening_zones(channel: Channel) -> np.ndarray:
+    """Points (n, 3) that stand for equal areas of the first opening [mm]; the middle where light is not diffracted."""
+    if not channel.openings:
+        return _opening_middle(channel)
+    plane = channel.openings[0].plane
+    if isinstance(plane.outline, Circle):
+        radius = plane.outline.radius * np.sqrt((np.arange(_ZONES) + 0.5) / _ZONES)
+        angle = 2 * np.pi * np.arange(2 * _ZONES) / (2 * _ZONES)
+        x, y = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
     else:
-        middle, end = channel.grid.centre, detector_plane(channel.grid)
-    aimed = aim(Sequence((*channel.leg(0), end)), sources, np.broadcast_to(middle, sources.shape))
+        side = (np.arange(_ZONES) + 0.5) / _ZONES * 2 - 1
+        x, y = (values.ravel() for values in np.meshgrid(plane.outline.half_x * side, plane.outline.half_y * side))
+    return plane.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
+
+
+def _launch_to(channel: Channel, sources: np.ndarray, places: np.ndarray) -> np.ndarray | None:
+    """Directions (n, 3) of the rays from sources to places, one of them repeated, on the first opening or the detector."""
+    rim = channel.openings[0] if channel.openings else None
+    end = detector_plane(channel.grid) if rim is None else Interaction.through(Surface(rim.plane.frame), rim.index)
+    count = max(len(sources), len(places))
+    sources, places = (np.broadcast_to(points, (count, 3)) for points in (sources, places))
+    aimed = aim(Sequence((*channel.leg(0), end)), sources, places)
     return aimed.launch if np.all(aimed.converged) else None
 
 
 def _landings_through_opening(assembly: Assembly, channel: Channel, sources: np.ndarray) -> np.ndarray | None:
     """Where the rays from sources (n, 3) through the opening's middle end on the detector, (n, 2) along u and v."""
-    launch = _launch_to_opening(channel, sources)
+    launch = _launch_to(channel, sources, _opening_middle(channel))
     if launch is None:
         return None
     ends = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), sources, launch).points[-1]
