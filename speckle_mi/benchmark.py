@@ -38,7 +38,7 @@ PEER_SECONDS, QUICK_PEER_SECONDS = 2.0, 0.3
 RUNS, RUN_SECONDS = 9, 2.0
 """Warm runs, fewer (at least three) where they take longer than this together."""
 
-JUDGED_PAIRS = 20_000_000
+JUDGED_PAIRS, DIRECT_PAIRS = 20_000_000, 4_000_000_000
 PAIRS_SOURCES = 4096
 FRESNEL_EPS = 1e-6
 """What FINUFFT is asked for: its own error then hides behind the approximation's."""
@@ -226,7 +226,6 @@ class Bench:
     def sums(self, count: int) -> list[Entry]:
         """Ours and the peers' on the same scatterers; ours first."""
         from .propagation import FreeSpace, coherent_sum
-        from .propagation.direct import direct_sum
         from .propagation.reference import reference_sum
 
         position, amplitude = self.scatterers(count)
@@ -246,10 +245,7 @@ class Bench:
 
         result = coherent_sum(FreeSpace(), position, amplitude, self.grid, self.wavelength, "auto", TOLERANCE)
         entries = [whole(f"auto {TOLERANCE:.0e}", auto, result.plan)]
-        if count * len(points) < 1e11:
-            entries.append(
-                whole("direct", lambda: direct_sum(FreeSpace(), position, amplitude, self.grid, self.wavelength))
-            )
+        entries.append(self._direct(position, amplitude, error))
         entries.append(self._on_a_part("NumPy float64", numpy_sum, position, amplitude, points, judged, exact))
         compiled = numba_sum()
         if compiled is not None:
@@ -257,6 +253,23 @@ class Bench:
             entries.append(self._on_a_part("numba float64", compiled, position, amplitude, points, judged, exact))
         entries.append(whole("FINUFFT, Fresnel", lambda: fresnel_sum(position, amplitude, self.grid, self.wavelength)))
         return entries
+
+    def _direct(self, position: np.ndarray, amplitude: np.ndarray, error: Callable[[np.ndarray], float]) -> Entry:
+        """The direct kernel, on a part of the rows where all of them would take long (its error is then not judged)."""
+        from .propagation import FreeSpace
+        from .propagation.direct import direct_sum
+
+        rows, columns = self.grid.shape
+        some = int(np.clip(DIRECT_PAIRS // (len(position) * columns), 1, rows))
+        part = replace(self.grid, shape=(some, columns))
+
+        def work() -> np.ndarray:
+            return direct_sum(FreeSpace(), position, amplitude, part, self.wavelength)
+
+        timing, scale = timed(work), rows / some
+        judged = error(work()) if some == rows else None
+        times = (scale * timing.median, scale * timing.q1, scale * timing.q3)
+        return Entry("direct", len(position), *times, timing.runs, 1 / scale, judged)
 
     def _on_a_part(self, name, work, position, amplitude, points, judged, exact) -> Entry:
         """A peer on as many pixels as it manages in its time, scaled to all of them."""
@@ -443,24 +456,34 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .sysinfo import system_information
 
     begin = time.perf_counter()
-    entries = []
+    console = _console(options.quiet)
+    system = system_information() | {"numba": _numba_version()}
+    names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "numba",
+             "LLVM")  # fmt: skip
+    console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
+    # Every part is shown and kept when it is done: an interrupt loses no more than the part it falls into.
+    content = {"pixels": list(bench.grid.shape[::-1]), "tolerance": TOLERANCE, "system": system}
+
+    def keep(name: str, figures: object) -> None:
+        content[name] = figures
+        if options.out:
+            write_json(options.out, content)
+
+    entries: list[Entry] = []
     for count in counts:
         say(options, f"sums of {count:,} scatterers ...")
         entries += bench.sums(count)
+        keep("sums", [asdict(entry) for entry in entries])
+    _print_sums(console, bench, entries)
     say(options, "scaling ...")
     scaling = bench.scaling(counts)
+    keep("scaling", scaling)
+    _print_scaling(console, scaling)
     say(options, "everything around the sums ...")
     pieces = bench.pieces()
-    system = system_information() | {"numba": _numba_version()}
-    if not options.quiet:
-        _print_report(bench, entries, scaling, pieces, system)
-        say(options, f"{time.perf_counter() - begin:.0f} s in all")
-    if options.out:
-        rows, columns = bench.grid.shape
-        write_json(options.out, {
-            "pixels": [columns, rows], "tolerance": TOLERANCE, "sums": [asdict(entry) for entry in entries],
-            "scaling": scaling, "pieces": pieces, "system": system,
-        })  # fmt: skip
+    keep("pieces", pieces)
+    _print_pieces(console, pieces)
+    say(options, f"{time.perf_counter() - begin:.0f} s in all")
 
 
 def _assembly(options):
@@ -487,29 +510,20 @@ def _numba_version() -> str:
 # Words
 
 
-def _print_report(bench: Bench, entries: list[Entry], scaling: dict, pieces: dict, system: dict[str, str]) -> None:
+def _console(quiet: bool):
     from rich.console import Console
 
-    console = Console(width=None if os.isatty(1) else 130, highlight=False)
-    names = (
-        "processor",
-        "cores",
-        "system",
-        "speckle_mi",
-        "python",
-        "mitsuba",
-        "drjit",
-        "numpy",
-        "finufft",
-        "numba",
-        "LLVM",
-    )
-    console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
+    return Console(width=None if os.isatty(1) else 130, highlight=False, quiet=quiet)
+
+
+def _print_sums(console, bench: Bench, entries: list[Entry]) -> None:
     console.print(_sums_table(bench, entries))
     console.print(
         "~ summed on a part of the pixels and scaled up. Errors: relative L2 against the float64 sum on sampled pixels."
     )
-    _print_scaling(console, scaling)
+
+
+def _print_pieces(console, pieces: dict[str, dict]) -> None:
     table = _table("Around the sums", ("what", "median", "quartiles", "first", ""), left=(0, 4))
     for name, piece in pieces.items():
         quartiles = _between(piece["q1"], piece["q3"]) if piece["runs"] > 1 else ""

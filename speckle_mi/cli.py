@@ -20,17 +20,21 @@ def command(main: Callable[[Sequence[str] | None], int | None], arguments: Seque
     an interrupt status 130. With ``--debug`` the traceback is shown as well.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    signal.signal(signal.SIGTERM, _interrupt)
+    _interrupts.clear()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
         return main(arguments) or DONE
     except KeyboardInterrupt:
-        print("interrupted: what is finished has been kept", file=sys.stderr)
-        return INTERRUPTED
+        return _interrupted()
     except BrokenPipeError:
         # The reader of our output has gone; nothing more can be said on it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except (ValueError, OSError, RuntimeError, MemoryError) as error:
+        if _interrupts:
+            # Dr.Jit turns an interrupt that reaches it while it records a loop into an error of its own.
+            return _interrupted()
         if "--debug" in arguments:
             traceback.print_exc()
         print(f"error: {one_line(error)}", file=sys.stderr)
@@ -111,5 +115,15 @@ def one_line(error: BaseException) -> str:
     return f"{place.group(1)}: {reason}" if place else reason
 
 
-def _interrupt(*_: object) -> None:
+_interrupts: list[int] = []
+"""Signals that asked the running command to end."""
+
+
+def _interrupt(number: int, _: object) -> None:
+    _interrupts.append(number)
     raise KeyboardInterrupt
+
+
+def _interrupted() -> int:
+    print("interrupted: what is finished has been kept", file=sys.stderr)
+    return INTERRUPTED

@@ -232,7 +232,8 @@ def _settings(options) -> dict:
 def with_point_sources(assembly, count: int):
     """The assembly with ``count`` scatterers expected inside the beam's 1/e^2 footprint (or on the whole target).
 
-    A target made of the user's own points keeps them.
+    assembly: as it comes from its scene, whose N1 the density is scaled from. A target made of the user's own points
+    keeps them.
     """
     target = assembly.target
     density = target.surface.density * count / target.shape.point_sources

@@ -140,8 +140,8 @@ class _ChiefRay:
 
     sight: (3,) its direction at the spot; across: (2, 3) unit vectors across it; magnification, lever: (2, 2) motion of
     a ray's end on the detector per shift [mm/mm] and per tilt [mm/rad] of its beginning; distance: to the opening [mm].
-    With spherical aberration the rays through different zones of the opening have different levers, and the pattern
-    follows their mean.
+    With spherical aberration the lever is that of the straight line fitted to the rays' ends over all of the opening: a
+    tilt shifts the light across the pupil, and the part of the phase change that is linear there moves the pattern.
     """
 
     sight: np.ndarray
@@ -163,18 +163,33 @@ def _chief_ray(assembly: Assembly, channel: Channel) -> _ChiefRay | None:
         first = np.cross(sight, assembly.target.frame.axes[:, 0])
     first /= -np.linalg.norm(first)
     across = np.stack([first, np.cross(sight, first)])
+    system = Sequence((*channel.interactions, detector_plane(channel.grid)))
     shifts = np.concatenate([np.outer([1.0, -1.0], a) for a in across]) * _STEP
-    still = np.zeros_like(shifts)
-    starts, tilts = np.concatenate([shifts, still]), np.concatenate([still, shifts])
-    origins = np.tile(spot + starts, (len(zones), 1))
-    directions = np.repeat(zones, len(tilts), axis=0) + np.tile(tilts, (len(zones), 1))
-    ends = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), origins, directions).points[-1]
-    if not np.all(np.isfinite(ends)):
+    moved = trace(system, np.tile(spot + shifts, (len(zones), 1)), np.repeat(zones, 4, axis=0)).points[-1]
+    tilted = trace(system, np.broadcast_to(spot, zones.shape), zones).points[-1]
+    if not (np.all(np.isfinite(moved)) and np.all(np.isfinite(tilted))):
         return None
-    ends = np.stack([ends @ channel.grid.u, ends @ channel.grid.v]).reshape(2, len(zones), 8).mean(axis=1)
-    slopes = (ends[:, 0::2] - ends[:, 1::2]) / (2 * _STEP)
+    plane = np.stack([channel.grid.u, channel.grid.v], axis=1)
+    moved = (moved @ plane).reshape(len(zones), 4, 2).mean(axis=0)
+    magnification = ((moved[0::2] - moved[1::2]) / (2 * _STEP)).T
+    # Slopes at the spot: the transverse part of a direction over its part along the chief ray.
+    slopes = (zones @ across.T) / (zones @ sight)[:, None]
+    lever = _line(slopes, tilted @ plane) if len(zones) > 1 else _lever_of_one(system, spot, sight, across, plane)
     distance = float(np.linalg.norm(_opening_middle(channel) - spot))
-    return _ChiefRay(sight, across, slopes[:, :2], slopes[:, 2:], distance)
+    return _ChiefRay(sight, across, magnification, lever, distance)
+
+
+def _line(slopes: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(2, 2) matrix of the straight line that fits ends (n, 2) against slopes (n, 2) best."""
+    fitted, *_ = np.linalg.lstsq(np.column_stack([slopes, np.ones(len(slopes))]), ends, rcond=None)
+    return fitted[:2].T
+
+
+def _lever_of_one(system: Sequence, spot: np.ndarray, sight: np.ndarray, across: np.ndarray, plane: np.ndarray) -> np.ndarray:
+    """(2, 2) motion of one ray's end per tilt [mm/rad], where no opening limits the light."""
+    tilts = np.concatenate([np.outer([1.0, -1.0], a) for a in across]) * _STEP
+    ends = trace(system, np.broadcast_to(spot, tilts.shape), sight + tilts).points[-1] @ plane
+    return ((ends[0::2] - ends[1::2]) / (2 * _STEP)).T
 
 
 def _opening_middle(channel: Channel) -> np.ndarray:

@@ -17,7 +17,11 @@ from pathlib import Path
 
 def main(kind: str, examples: str, outcomes: str) -> None:
     judge = {"scene": judge_scene, "exr": judge_exr}[kind]
-    with tempfile.TemporaryDirectory() as folder, open(examples, encoding="utf-8") as given, open(outcomes, "w", encoding="utf-8") as out:
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        open(examples, encoding="utf-8") as given,
+        open(outcomes, "w", encoding="utf-8") as out,
+    ):
         for line in given:
             start = time.perf_counter()
             outcome, message = judge(base64.b64decode(json.loads(line)), Path(folder))

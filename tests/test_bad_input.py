@@ -85,7 +85,9 @@ MAY_BE_INFINITE = {"beam_radius", "wavefront_radius"}
 
 
 @pytest.mark.parametrize("part, name", NUMBERS)
-@pytest.mark.parametrize("kind, value", [("string", "nan"), ("float", "nan"), ("string", "wide"), ("boolean", "true"), ("string", "")])
+@pytest.mark.parametrize(
+    "kind, value", [("string", "nan"), ("float", "nan"), ("string", "wide"), ("boolean", "true"), ("string", "")]
+)
 def test_what_is_not_a_number_is_named(mitsuba, part, name, kind, value):
     is_clear(refusal(mitsuba, with_parameter(part, kind, name, value)), name, "must be")
 
@@ -104,19 +106,41 @@ def test_sizes_are_positive_and_of_this_world(mitsuba, part, name, value):
 
 
 OUT_OF_RANGE = [
-    ("laser", "string", "beam_radius", "-inf"), ("laser", "float", "wavefront_radius", "0"), ("target", "float", "roughness", "-1"),
-    ("target", "float", "roughness", "1e30"), ("target", "float", "correlation_length", "-1"),
-    ("target", "float", "correlation_length", "1e-30"), ("target", "float", "correlation_length", "1e30"), ("lens", "float", "ior", "0.5"),
-    ("lens", "float", "ior", "0"), ("lens", "float", "ior", "1e30"), ("integrator", "float", "tolerance", "0"),
-    ("integrator", "float", "tolerance", "1e-30"), ("integrator", "float", "tolerance", "2"),
-    ("integrator", "integer", "rays_per_source", "3"), ("integrator", "integer", "rays_per_source", "1000000000000"),
-    ("integrator", "string", "rays_per_source", "many"), ("integrator", "float", "rays_per_source", "20.5"),
-    ("integrator", "string", "method", "Auto"), ("integrator", "integer", "method", "1"), ("integrator", "string", "diffraction", "true"),
-    ("target", "integer", "point_sources", "0"), ("target", "float", "point_sources", "1.5"), ("target", "float", "point_sources", "nan"),
-    ("target", "integer", "seed", "-1"), ("target", "string", "seed", "first"), ("target", "integer", "lobe", "1"),
-    ("target", "float", "filename", "1"), ("target", "string", "filename", "none.ply"), ("target", "string", "points", "none.csv"),
-    ("target", "string", "points", ""), ("aperture", "string", "shape", "ring"), ("aperture", "float", "shape", "1"),
-    ("aperture", "float", "width", "1"), ("aperture", "float", "outer_radius", "0.5"), ("lens", "float", "diameter", "200"),
+    ("laser", "string", "beam_radius", "-inf"),
+    ("laser", "float", "wavefront_radius", "0"),
+    ("target", "float", "roughness", "-1"),
+    ("target", "float", "roughness", "1e30"),
+    ("target", "float", "correlation_length", "-1"),
+    ("target", "float", "correlation_length", "1e-30"),
+    ("target", "float", "correlation_length", "1e30"),
+    ("lens", "float", "ior", "0.5"),
+    ("lens", "float", "ior", "0"),
+    ("lens", "float", "ior", "1e30"),
+    ("integrator", "float", "tolerance", "0"),
+    ("integrator", "float", "tolerance", "1e-30"),
+    ("integrator", "float", "tolerance", "2"),
+    ("integrator", "integer", "rays_per_source", "3"),
+    ("integrator", "integer", "rays_per_source", "1000000000000"),
+    ("integrator", "string", "rays_per_source", "many"),
+    ("integrator", "float", "rays_per_source", "20.5"),
+    ("integrator", "string", "method", "Auto"),
+    ("integrator", "integer", "method", "1"),
+    ("integrator", "string", "diffraction", "true"),
+    ("target", "integer", "point_sources", "0"),
+    ("target", "float", "point_sources", "1.5"),
+    ("target", "float", "point_sources", "nan"),
+    ("target", "integer", "seed", "-1"),
+    ("target", "string", "seed", "first"),
+    ("target", "integer", "lobe", "1"),
+    ("target", "float", "filename", "1"),
+    ("target", "string", "filename", "none.ply"),
+    ("target", "string", "points", "none.csv"),
+    ("target", "string", "points", ""),
+    ("aperture", "string", "shape", "ring"),
+    ("aperture", "float", "shape", "1"),
+    ("aperture", "float", "width", "1"),
+    ("aperture", "float", "outer_radius", "0.5"),
+    ("lens", "float", "diameter", "200"),
     ("lens", "float", "thickness", "0.1"),
 ]
 
@@ -128,7 +152,9 @@ def test_a_value_out_of_range_or_of_a_wrong_type_is_named(mitsuba, part, kind, n
     assert re.search(r"must|not a file|given by", line), line
 
 
-@pytest.mark.parametrize("kind, value", [("integer", "1.5"), ("integer", "9" * 20), ("float", "1,5"), ("boolean", "yes")])
+@pytest.mark.parametrize(
+    "kind, value", [("integer", "1.5"), ("integer", "9" * 20), ("float", "1,5"), ("boolean", "yes")]
+)
 def test_text_that_the_parser_cannot_read_is_quoted_with_its_line(mitsuba, kind, value):
     is_clear(refusal(mitsuba, with_parameter("target", kind, "seed", value)), value, "line")
 
@@ -139,14 +165,24 @@ def test_a_misspelt_name_is_quoted(mitsuba, part):
 
 
 def test_a_misspelt_plugin_is_quoted(mitsuba):
-    for part, plugin in {"laser": "laser", "target": "rough_target", "detector": "detector", "lens": "lens", "integrator": "coherent"}.items():
-        is_clear(refusal(mitsuba, scene_with(**{part: PARTS[part].replace(f'type="{plugin}"', 'type="lazer"')})), "lazer")
+    for part, plugin in {
+        "laser": "laser",
+        "target": "rough_target",
+        "detector": "detector",
+        "lens": "lens",
+        "integrator": "coherent",
+    }.items():
+        is_clear(
+            refusal(mitsuba, scene_with(**{part: PARTS[part].replace(f'type="{plugin}"', 'type="lazer"')})), "lazer"
+        )
 
 
 # Parts
 
 
-@pytest.mark.parametrize("part, word", [("laser", "laser"), ("target", "rough_target"), ("integrator", "coherent"), ("detector", "detector")])
+@pytest.mark.parametrize(
+    "part, word", [("laser", "laser"), ("target", "rough_target"), ("integrator", "coherent"), ("detector", "detector")]
+)
 def test_a_missing_part_is_named(mitsuba, part, word):
     is_clear(refusal(mitsuba, scene_with(**{part: ""})), word, "must")
 
@@ -181,21 +217,28 @@ def test_a_degenerate_transform_is_refused(mitsuba, part, kind):
 
 
 @pytest.mark.parametrize("kind", ["zero scale", "singular", "not a number"])
-@pytest.mark.parametrize("form, material", [("sphere", "dielectric"), ("cube", "dielectric"), ("rectangle", "conductor"), ("disk", "conductor")])
+@pytest.mark.parametrize(
+    "form, material",
+    [("sphere", "dielectric"), ("cube", "dielectric"), ("rectangle", "conductor"), ("disk", "conductor")],
+)
 def test_a_degenerate_transform_of_a_stock_shape_is_refused(mitsuba, form, material, kind):
     place = f'<transform name="to_world"><matrix value="{DEGENERATE[kind]}"/><translate z="30"/></transform>'
     line = refusal(mitsuba, scene_with(odd=f'<shape type="{form}" id="odd">{place}<bsdf type="{material}"/></shape>'))
     is_clear(line, "odd", "to_world")
 
 
-@pytest.mark.parametrize("look", ['origin="0,0,50" target="0,0,50" up="0,1,0"', 'origin="0,0,50" target="0,0,0" up="0,0,1"'])
+@pytest.mark.parametrize(
+    "look", ['origin="0,0,50" target="0,0,50" up="0,1,0"', 'origin="0,0,50" target="0,0,0" up="0,0,1"']
+)
 def test_a_lookat_without_a_direction_is_refused(mitsuba, look):
     text = re.sub(r"<matrix.*?/>", f"<lookat {look}/>", PARTS["laser"])
     is_clear(refusal(mitsuba, scene_with(laser=text)), "lookat", "line")
 
 
 def test_a_detector_or_a_spot_inside_glass_is_refused(mitsuba):
-    is_clear(refusal(mitsuba, scene_with(detector=detector_xml(detector_frame(direction(0), 28.0), 8, 8))), "inside", "lens")
+    is_clear(
+        refusal(mitsuba, scene_with(detector=detector_xml(detector_frame(direction(0), 28.0), 8, 8))), "inside", "lens"
+    )
     is_clear(refusal(mitsuba, scene_with(lens=PARTS["lens"].replace(on_axis(25.0), on_axis(-1.0)))), "inside", "lens")
 
 
@@ -324,7 +367,7 @@ def run(mitsuba, tmp_path, monkeypatch, capfd):
     import signal
 
     monkeypatch.chdir(tmp_path)
-    before = signal.getsignal(signal.SIGTERM)
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
 
     def run(name, *arguments):
         main = importlib.import_module(f"speckle_mi.{name}").main
@@ -335,7 +378,8 @@ def run(mitsuba, tmp_path, monkeypatch, capfd):
         return status, capfd.readouterr().err.strip().splitlines()
 
     yield run
-    signal.signal(signal.SIGTERM, before)
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 def refused(done, *words):
@@ -485,7 +529,10 @@ def test_a_disk_that_fills_up_during_a_sweep_keeps_its_finished_frames_and_their
         write(file, name)
 
     monkeypatch.setattr(OpenEXR.File, "write", fills_up)
-    refused(run("sweep", SCENE, "--seeds", "2", "--dof", "x", "--steps", "4", "--out", "out", "--quiet", *SMALL), "no space left")
+    refused(
+        run("sweep", SCENE, "--seeds", "2", "--dof", "x", "--steps", "4", "--out", "out", "--quiet", *SMALL),
+        "no space left",
+    )
     frames = sorted((tmp_path / "out" / "frames").iterdir())
     assert len(frames) == 3
     for path in frames:
@@ -493,6 +540,23 @@ def test_a_disk_that_fills_up_during_a_sweep_keeps_its_finished_frames_and_their
     rows = (tmp_path / "out" / "sweep.csv").read_text().splitlines()
     assert len(rows) == 1 + len(frames)
     assert not (tmp_path / "out" / "summary.json").exists()
+
+
+def test_an_interrupt_that_comes_back_as_another_error_is_still_an_interrupt(run, monkeypatch):
+    """Dr.Jit turns an interrupt that reaches it while it records a loop into a RuntimeError."""
+    import signal
+
+    from speckle_mi import render
+
+    def interrupted(*_):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt as error:
+            raise RuntimeError("dr.while_loop(): encountered an exception (see above).") from error
+
+    monkeypatch.setattr(render, "load_scene", interrupted)
+    status, lines = run("render", SCENE, "-o", "f.exr")
+    assert status == 130 and len(lines) == 1 and "interrupted" in lines[0]
 
 
 def test_a_full_disk_leaves_the_old_table(run, tmp_path, monkeypatch):

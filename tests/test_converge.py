@@ -152,8 +152,8 @@ def test_error_behind_a_lens_falls_with_the_tolerance(imaging):
                                          ("folded", {"width": 40, "height": 40})])  # fmt: skip
 def test_exact_sample_agrees_with_the_whole_frame(shipped, name, small):
     """The field summed on some pixels alone is that of the same pixels of the detector, to the tolerance of both."""
-    assembly = with_point_sources(shipped(name, **small), 2)
-    sample = exact_sample(assembly, 1e-6)
+    assembly = shipped(name, **small)
+    sample = exact_sample(with_point_sources(assembly, 2), 1e-6)
     frame = simulate_frame(Setting("auto", 2, 1e-5).of(assembly), Pose())
     error, phase = sample.errors(frame.image.field)
     assert sample.scatterers == frame.scatterers.count

@@ -37,7 +37,10 @@ def judged(kind: str, examples: list[bytes], folder: Path) -> list[list]:
     given_path.write_text("".join(json.dumps(base64.b64encode(e).decode()) + "\n" for e in examples), encoding="ascii")
     try:
         done = subprocess.run(
-            [sys.executable, str(WORKER), kind, str(given_path), str(outcome_path)], capture_output=True, text=True, timeout=PATIENCE
+            [sys.executable, str(WORKER), kind, str(given_path), str(outcome_path)],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
         )
         ending = f"status {done.returncode}: {done.stderr[-500:]}"
     except subprocess.TimeoutExpired:
@@ -58,8 +61,31 @@ def all_is_well(examples: list[bytes], outcomes: list[list]) -> None:
 # Scenes
 
 ODD_VALUES = [
-    "", "0", "-0", "-1", "1e308", "1e-308", "1e400", "nan", "inf", "-inf", "0x10", "1,5", "1.5.5", "true", "$x", "9" * 30, "\u00b5", "'", "None",
-    "../../..", "circle", "auto", "1 2 3", "0 0 0 0", "%s%s%n",
+    "",
+    "0",
+    "-0",
+    "-1",
+    "1e308",
+    "1e-308",
+    "1e400",
+    "nan",
+    "inf",
+    "-inf",
+    "0x10",
+    "1,5",
+    "1.5.5",
+    "true",
+    "$x",
+    "9" * 30,
+    "\u00b5",
+    "'",
+    "None",
+    "../../..",
+    "circle",
+    "auto",
+    "1 2 3",
+    "0 0 0 0",
+    "%s%s%n",
 ]
 SCENE_TEXT = scene_with()
 STARTS = [SCENE_TEXT, scene_with(lens="", aperture=""), *(scene_with(**{part: ""}) for part in PARTS)]
@@ -81,7 +107,9 @@ def damaged_scenes(draw) -> bytes:
             places = _pieces(text, kind)
             if places:
                 first, last = draw(st.sampled_from(places))
-                new = draw(st.sampled_from(ODD_VALUES) | st.text(max_size=6) | st.floats().map(repr) | st.integers().map(str))
+                new = draw(
+                    st.sampled_from(ODD_VALUES) | st.text(max_size=6) | st.floats().map(repr) | st.integers().map(str)
+                )
                 text = text[:first] + new.replace('"', "") + text[last:]
         elif text:
             a = draw(st.integers(0, len(text) - 1))
@@ -109,7 +137,13 @@ def whole_images(tmp_path_factory) -> list[bytes]:
     random = np.random.default_rng(0)
     intensity = random.random((6, 8), dtype=np.float32)
     write_field(folder / "own.exr", FieldImage(intensity, intensity + 1j, {"pose": "", "wavelength_nm": 632.8}))
-    kinds = (OpenEXR.ZIP_COMPRESSION, OpenEXR.PIZ_COMPRESSION, OpenEXR.RLE_COMPRESSION, OpenEXR.DWAA_COMPRESSION, OpenEXR.PXR24_COMPRESSION)
+    kinds = (
+        OpenEXR.ZIP_COMPRESSION,
+        OpenEXR.PIZ_COMPRESSION,
+        OpenEXR.RLE_COMPRESSION,
+        OpenEXR.DWAA_COMPRESSION,
+        OpenEXR.PXR24_COMPRESSION,
+    )
     for number, compression in enumerate(kinds):
         with OpenEXR.File({"compression": compression, "type": OpenEXR.scanlineimage}, {"Y": intensity}) as file:
             file.write(str(folder / f"other{number}.exr"))

@@ -22,7 +22,11 @@ def catalogue(mitsuba):
 
 
 def test_every_case_keeps_its_bound_or_says_why_not(catalogue):
-    broken = [f"{c.case}: {c.quantity}: {c.value} for {c.reference}, {c.error:.2g} > {c.bound:.2g} {c.message}" for c in catalogue if c.verdict != "ok" and c.verdict != "limit"]
+    broken = [
+        f"{c.case}: {c.quantity}: {c.value} for {c.reference}, {c.error:.2g} > {c.bound:.2g} {c.message}"
+        for c in catalogue
+        if c.verdict != "ok" and c.verdict != "limit"
+    ]
     assert not broken, "\n".join(broken)
     assert len(catalogue) >= FEWEST_CHECKS
 
@@ -34,7 +38,9 @@ def test_every_limit_has_a_message_of_one_line(catalogue):
         assert check.message and "\n" not in check.message and "Traceback" not in check.message, check
 
 
-def test_the_catalogue_writes_its_table_and_tells_a_broken_bound_by_its_status(catalogue, tmp_path, monkeypatch, capsys):
+def test_the_catalogue_writes_its_table_and_tells_a_broken_bound_by_its_status(
+    catalogue, tmp_path, monkeypatch, capsys
+):
     from speckle_mi.stability import __main__ as stability
     from speckle_mi.stability.case import within
 

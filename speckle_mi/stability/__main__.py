@@ -51,8 +51,13 @@ def catalogue(quick: bool = False, progress: bool = False) -> Iterator[Check]:
     from . import correlator, illumination, motion, optics, precision, scale, surfaces
 
     groups = {
-        "scale": scale, "surfaces": surfaces, "motion": motion, "illumination": illumination, "optics": optics,
-        "precision": precision, "correlator": correlator,
+        "scale": scale,
+        "surfaces": surfaces,
+        "motion": motion,
+        "illumination": illumination,
+        "optics": optics,
+        "precision": precision,
+        "correlator": correlator,
     }
     cases = [(name, case) for name, group in groups.items() for case in group.CASES if case.in_quick or not quick]
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())

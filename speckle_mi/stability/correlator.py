@@ -66,7 +66,9 @@ def images_that_are_not_finite(quick: bool):
     for name, value in (("NaN", np.nan), ("infinite", np.inf)):
         broken = image.copy()
         broken[3, 4] = value
-        yield declined("correlator", f"a pixel that is {name}", lambda: correlate(image, broken), "moved image", "finite")
+        yield declined(
+            "correlator", f"a pixel that is {name}", lambda: correlate(image, broken), "moved image", "finite"
+        )
     yield declined("correlator", "images of two sizes", lambda: correlate(image, image[:32]), "shape")
     yield declined("correlator", "window larger than the image", lambda: correlate(image, image, 100), "window = 100")
 
@@ -77,13 +79,19 @@ def very_dim_and_very_bright_images(quick: bool):
     for scale in (1e-300, 1e-30, 1e30, 1e290):
         shift = correlate(image * scale, np.roll(image * scale, (2, -3), (0, 1)))
         yield compared("correlator", f"shift of an image times {scale:g} [px]", shift.u_px, -3.0, 1e-3)
-        yield compared("correlator", f"contrast of an image times {scale:g}", contrast(image * scale), contrast(image), 1e-9)
+        yield compared(
+            "correlator", f"contrast of an image times {scale:g}", contrast(image * scale), contrast(image), 1e-9
+        )
 
 
 CASES = tuple(
     Case(run)
     for run in (
-        images_without_a_pattern, saturated_images, shifts_beyond_the_image, periodic_patterns, images_that_are_not_finite,
+        images_without_a_pattern,
+        saturated_images,
+        shifts_beyond_the_image,
+        periodic_patterns,
+        images_that_are_not_finite,
         very_dim_and_very_bright_images,
     )
 )

@@ -1,4 +1,4 @@
-"""Extremes of the illumination: grazing beams, wavefronts from strongly curved to plane, foci on target and detector."""
+"""Extremes of the illumination: grazing beams, curved and plane wavefronts, foci on target and detector."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ def grazing_incidence(quick: bool):
 def wavefronts(quick: bool):
     """The phase of the laser's field against its definition in extended precision."""
     random = np.random.default_rng(3)
-    for radius in (0.1, -0.1, 750.0, -1e9, np.inf) if quick else (0.1, -0.1, 1.0, -1.0, 750.0, -750.0, 1e6, -1e9, 1e15, np.inf):
+    for radius in (
+        (0.1, -0.1, 750.0, -1e9, np.inf) if quick else (0.1, -0.1, 1.0, -1.0, 750.0, -750.0, 1e6, -1e9, 1e15, np.inf)
+    ):
         assembly = Bench(laser={"wavefront_radius": radius}).assembly()
         points = assembly.target.spot + random.uniform(-0.3, 0.3, (2000, 3))
         # Paths of up to 1e5 wavelengths hold 1e-11 of a turn in double precision.
@@ -29,7 +31,9 @@ def wavefronts(quick: bool):
         yield same_field("wavefront", name, assembly.beam.field(points), exact_laser(assembly.beam, points), 1e-9)
         bench = Bench(laser={"wavefront_radius": radius})
         yield same_field("wavefront", f"field, wavefront radius {radius:g} mm", *against_exact_sum(bench), TOLERANCE)
-    yield declined("wavefront", "wavefront radius 0", Bench(laser={"wavefront_radius": 0.0}).assembly, "wavefront_radius", "inf")
+    yield declined(
+        "wavefront", "wavefront radius 0", Bench(laser={"wavefront_radius": 0.0}).assembly, "wavefront_radius", "inf"
+    )
 
 
 def focus_on_the_target(quick: bool):
@@ -40,7 +44,14 @@ def focus_on_the_target(quick: bool):
         assembly = Bench(laser={"wavefront_radius": radius, "beam_radius": 0.02}).assembly()
         points = np.array([assembly.target.spot, assembly.target.spot - radius * assembly.beam.axis])
         modulus = np.abs(assembly.beam.field(points))
-        yield within("focus on the target", f"modulus in the focus, R = {radius:g} mm", modulus.max(), 1.0, np.abs(modulus - 1).max(), 1e-9)
+        yield within(
+            "focus on the target",
+            f"modulus in the focus, R = {radius:g} mm",
+            modulus.max(),
+            1.0,
+            np.abs(modulus - 1).max(),
+            1e-9,
+        )
 
 
 def focus_on_the_detector(quick: bool):
@@ -49,7 +60,9 @@ def focus_on_the_detector(quick: bool):
 
     z, w = 60.0, 0.12
     bench = Bench(
-        laser_angle=0.0, laser={"wavefront_radius": -z}, target={"roughness": 0.0, "point_sources": 20_000},
+        laser_angle=0.0,
+        laser={"wavefront_radius": -z},
+        target={"roughness": 0.0, "point_sources": 20_000},
         detector={"width": 257, "height": 1, "pixel_pitch": 0.004},
     )
     assembly = bench.assembly()

@@ -14,7 +14,7 @@ NOISE_FLOOR_PX = 1e-4
 """Shifts below this many pixels are lost in the correlator's own offset (a finite window is not symmetric)."""
 
 FIELD_NOISE_PX = 1e-5
-"""Part of a shift that the fields' rounding makes [px]: their error of less than 1e-6 times a speckle of 25 px, at most."""
+"""Part of a shift that the fields' rounding makes [px]: their error, below 1e-6, times a speckle of 25 px."""
 
 _IMAGE = Bench(laser_angle=35.0, detector={"width": 256, "height": 256}, target={"point_sources": 300})
 
@@ -95,6 +95,10 @@ def motion_and_its_inverse(quick: bool):
 
 
 CASES = (
-    Case(displacements_far_below_an_atom), Case(rotations), Case(motion_larger_than_the_spot), Case(out_of_the_beam),
-    Case(behind_the_detector), Case(motion_and_its_inverse),
+    Case(displacements_far_below_an_atom),
+    Case(rotations),
+    Case(motion_larger_than_the_spot),
+    Case(out_of_the_beam),
+    Case(behind_the_detector),
+    Case(motion_and_its_inverse),
 )

@@ -33,7 +33,9 @@ def single_precision_paths(quick: bool):
         # Shown to fail: a float32 path of 60 mm is off by 0.04 rad, of 10 m by several.
         shown = OK if lost > 100 * SINGLE_PRECISION else BROKEN
         name = f"field at {distance:g} mm"
-        yield Check("float32 paths", f"{name}, float32 (not used)", lost, f"> {100 * SINGLE_PRECISION:g}", lost, math.inf, shown)
+        yield Check(
+            "float32 paths", f"{name}, float32 (not used)", lost, f"> {100 * SINGLE_PRECISION:g}", lost, math.inf, shown
+        )
         computed = frame.image.field.ravel()[pick]
         yield same_field("float64 paths", f"{name}, as computed", computed, exact, SINGLE_PRECISION)
 
@@ -55,7 +57,9 @@ def sums_of_many_terms(quick: bool):
         found = coherent_sum(FreeSpace(), sources, weights, point, WAVELENGTH, "direct").field
         total = complex(math.fsum(weights.real), math.fsum(weights.imag))
         exact = total / 60.0 * np.exp(2j * np.pi * (turns - round(turns)))
-        yield same_field("many terms", f"sum of {count:.0e} terms at random", found, np.array([exact]), SINGLE_PRECISION)
+        yield same_field(
+            "many terms", f"sum of {count:.0e} terms at random", found, np.array([exact]), SINGLE_PRECISION
+        )
 
 
 def rays_as_their_number_grows(quick: bool):
@@ -64,7 +68,11 @@ def rays_as_their_number_grows(quick: bool):
     bench = Bench(detector=small, target={"point_sources": 5})
     exact = bench.with_(integrator={"method": "direct"}).field()
     last = math.inf
-    for rays, bound in ((16, 0.1), (100, 1e-5), (1500, 1e-6)) if quick else ((16, 0.1), (64, 1e-4), (400, 1e-6), (1500, 1e-6), (10**4, 1e-6)):
+    for rays, bound in (
+        ((16, 0.1), (100, 1e-5), (1500, 1e-6))
+        if quick
+        else ((16, 0.1), (64, 1e-4), (400, 1e-6), (1500, 1e-6), (10**4, 1e-6))
+    ):
         found = bench.with_(integrator={"method": "rays", "rays_per_source": rays}).field()
         check = same_field("rays", f"field of {rays} rays a source", found, exact, min(bound, max(last, 1e-6)))
         last = check.error
@@ -98,8 +106,17 @@ def fits_with_hardly_any_data(quick: bool):
         steps = scale * np.array([-1.0, -0.5, 0.5, 1.0])
         fitted = fit_sensitivity(steps, 0.7e3 * np.stack([steps, steps]), np.full((2, 4), 0.5))
         yield compared("fit", f"slope, displacements of {scale:g} mm [mm/mm]", fitted.value, 0.7, 1e-9)
-    uneven = fit_sensitivity(np.array([-0.1, 0.1]), np.array([[-50.0, 50.0], [300.0, -900.0]]), np.array([[1.0, 1.0], [1e-9, 1e-9]]))
-    yield within("fit", "slope, one surface all but decorrelated: finite", uneven.value, "finite", 0.0 if np.isfinite(uneven.value) else math.inf, 0.0)
+    uneven = fit_sensitivity(
+        np.array([-0.1, 0.1]), np.array([[-50.0, 50.0], [300.0, -900.0]]), np.array([[1.0, 1.0], [1e-9, 1e-9]])
+    )
+    yield within(
+        "fit",
+        "slope, one surface all but decorrelated: finite",
+        uneven.value,
+        "finite",
+        0.0 if np.isfinite(uneven.value) else math.inf,
+        0.0,
+    )
 
 
 def _undefined(quantity: str, value: float, note: str) -> Check:
@@ -111,6 +128,9 @@ def _undefined(quantity: str, value: float, note: str) -> Check:
 
 
 CASES = (
-    Case(single_precision_paths), Case(sums_of_many_terms), Case(rays_as_their_number_grows), Case(tolerances),
+    Case(single_precision_paths),
+    Case(sums_of_many_terms),
+    Case(rays_as_their_number_grows),
+    Case(tolerances),
     Case(fits_with_hardly_any_data),
 )

@@ -8,7 +8,7 @@ import sys
 import numpy as np
 
 from ..geometry import Frame, rotation_matrix
-from .case import Case, Check, compared, same_field, within
+from .case import Case, compared, same_field, within
 from .scenes import Bench, against_exact_sum, aperture, lens
 
 TOLERANCE = 1e-4
@@ -29,7 +29,9 @@ def distances(quick: bool):
     for distance in (0.5, 10.0, 1e4) if quick else (0.5, 2.0, 10.0, 100.0, 1e3, 1e4):
         pitch = min(0.05, 0.006 * distance / 60)
         bench = Bench(
-            laser_distance=distance, detector_distance=distance, detector={"pixel_pitch": pitch},
+            laser_distance=distance,
+            detector_distance=distance,
+            detector={"pixel_pitch": pitch},
             laser={"beam_radius": min(0.12, 0.1 * distance)},
         )
         yield same_field("distance", f"field at {distance:g} mm", *against_exact_sum(bench), TOLERANCE)
@@ -57,7 +59,9 @@ def detector_of_67_million_pixels(quick: bool):
     before = _peak_memory()
     bench = Bench(detector={"width": LARGEST_SIDE, "height": LARGEST_SIDE, "pixel_pitch": 0.001})
     name = f"{LARGEST_SIDE} x {LARGEST_SIDE} pixels"
-    yield same_field("detector", f"field on {name}", *against_exact_sum(bench.with_(target={"point_sources": 20})), TOLERANCE)
+    yield same_field(
+        "detector", f"field on {name}", *against_exact_sum(bench.with_(target={"point_sources": 20})), TOLERANCE
+    )
     taken = max(_peak_memory() - before, 0.0) / LARGEST_SIDE**2
     yield within("detector", f"peak memory of {name} [bytes a pixel]", taken, MEMORY_PER_PIXEL, taken, MEMORY_PER_PIXEL)
 
@@ -80,7 +84,9 @@ def places_in_the_world(quick: bool):
     for name, bench in _benches().items():
         reference = bench.field()
         for change, world in worlds.items():
-            yield same_field("place", f"field of {name}, {change}", bench.with_(world=world).field(), reference, 2 * TOLERANCE)
+            yield same_field(
+                "place", f"field of {name}, {change}", bench.with_(world=world).field(), reference, 2 * TOLERANCE
+            )
 
 
 def order_of_parts(quick: bool):
@@ -102,7 +108,9 @@ def lens_in_the_world(quick: bool):
     world = Frame(np.array([6e3, -6e3, 5.3e3]), rotation_matrix(np.random.default_rng(5).normal(size=3)))
     thick = {"radius1": 50.0, "radius2": -50.0, "thickness": 5.0, "diameter": 20.0, "ior": 1.5151}
     bench = Bench(
-        detector_distance=199.0, detector={"width": 24, "height": 24}, target={"point_sources": 50},
+        detector_distance=199.0,
+        detector={"width": 24, "height": 24},
+        target={"point_sources": 50},
         elements=(lens(97.0685, **thick), aperture(103.0, radius=1.0)),
     )
     moved = bench.with_(world=world)
@@ -110,7 +118,13 @@ def lens_in_the_world(quick: bool):
 
 
 CASES = (
-    Case(wavelengths), Case(distances), Case(spots), Case(pixels), Case(detectors),
-    Case(detector_of_67_million_pixels, in_quick=False), Case(places_in_the_world), Case(order_of_parts),
+    Case(wavelengths),
+    Case(distances),
+    Case(spots),
+    Case(pixels),
+    Case(detectors),
+    Case(detector_of_67_million_pixels, in_quick=False),
+    Case(places_in_the_world),
+    Case(order_of_parts),
     Case(lens_in_the_world),
 )

@@ -66,8 +66,10 @@ class Bench:
         pitch = {"pixel_pitch": self.detector.get("pixel_pitch", 0.006)}
         parts = [
             f'<integrator type="coherent">{parameters(self.integrator)}</integrator>',
-            f'<emitter type="laser" id="laser">{self._place(self.laser_angle, self.laser_distance)}{parameters(laser)}</emitter>',
-            f'<shape type="rough_target" id="target">{placed(self.in_world(self.target_frame))}{parameters(target)}</shape>',
+            f'<emitter type="laser" id="laser">{self._place(self.laser_angle, self.laser_distance)}'
+            f"{parameters(laser)}</emitter>",
+            f'<shape type="rough_target" id="target">{placed(self.in_world(self.target_frame))}'
+            f"{parameters(target)}</shape>",
             f'<sensor type="detector" id="detector">'
             f"{self._detector_place()}"
             f'{parameters(pitch)}<film type="hdrfilm">{parameters(size)}</film></sensor>',
@@ -120,7 +122,9 @@ def placed(frame: Frame, scale: float = 1.0) -> str:
     """``to_world`` of a frame, with a scale for stock shapes."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = scale * frame.axes, frame.origin
-    return f'<transform name="to_world"><matrix value="{" ".join(repr(float(x)) for x in matrix.ravel())}"/></transform>'
+    return (
+        f'<transform name="to_world"><matrix value="{" ".join(repr(float(x)) for x in matrix.ravel())}"/></transform>'
+    )
 
 
 def parameters(values: dict) -> str:

@@ -36,20 +36,26 @@ def heights_of_a_correlated_surface(quick: bool):
 
     mean_square, expected, count = 0.0, 0.0, 60 if quick else 200
     for seed in range(count):
-        points = illuminated_scatterers(assembly.with_seed(seed).target.surface, assembly.beam, assembly.target.frame).position
+        points = illuminated_scatterers(
+            assembly.with_seed(seed).target.surface, assembly.beam, assembly.target.frame
+        ).position
         step = points[1:] - points[0]
         mean_square += float(np.mean(step[:, 2] ** 2)) / count
         squared = np.sum(step[:, :2] ** 2, axis=1)
         expected += float(np.mean(2 * 1e-6 * (1 - np.exp(-squared / 0.5**2)))) / count
     # One height pattern a surface: a mean square of some twenty to a hundred independent slopes.
     value, wanted = np.sqrt(mean_square) * 1e3, np.sqrt(expected) * 1e3
-    yield compared("correlation length", "rms height difference in the spot, l = 4 w [um]", value, wanted, 0.25, relative=True)
+    yield compared(
+        "correlation length", "rms height difference in the spot, l = 4 w [um]", value, wanted, 0.25, relative=True
+    )
 
 
 def specular_spot_of_a_smooth_surface(quick: bool):
     """Diffraction of a Gaussian spot: sum -> density pi / (1/w^2 - ik/2z) e^{ikz}/z on the axis (paraxial)."""
     bench = _UPRIGHT.with_(
-        detector_distance=200.0, detector={"width": 1, "height": 1}, target={"roughness": 0.0, "point_sources": 50_000},
+        detector_distance=200.0,
+        detector={"width": 1, "height": 1},
+        target={"roughness": 0.0, "point_sources": 50_000},
     )
     assembly = bench.assembly()
     from ..simulate import simulate
@@ -64,15 +70,17 @@ def specular_spot_of_a_smooth_surface(quick: bool):
 def partially_developed_speckle(quick: bool):
     """Mean field and contrast where phases scatter by s = 2 k sigma (Goodman, Speckle Phenomena, ch. 3.4).
 
-    Sum a_j e^{i phi_j} with Gaussian phases: mean S1 M1, variances S2 (1 + M2 - 2 M1^2)/2 and S2 (1 - M2)/2 in phase and
-    in quadrature, M1 = e^{-s^2/2}, M2 = e^{-2 s^2}, S1 = sum a, S2 = sum a^2; many terms make it Gaussian.
+    Sum a_j e^{i phi_j} with Gaussian phases: mean S1 M1, variances S2 (1 + M2 - 2 M1^2)/2 and S2 (1 - M2)/2 in
+    phase and in quadrature, M1 = e^{-s^2/2}, M2 = e^{-2 s^2}, S1 = sum a, S2 = sum a^2; many terms make it Gaussian.
     """
     from ..simulate import simulate_frame
 
     count = 150 if quick else 600
     for rms in (0.03, 0.1):
         bench = _UPRIGHT.with_(
-            detector_distance=2000.0, laser={"beam_radius": 0.05}, detector={"width": 1, "height": 1},
+            detector_distance=2000.0,
+            laser={"beam_radius": 0.05},
+            detector={"width": 1, "height": 1},
             target={"roughness": rms, "point_sources": 60},
         )
         assembly = bench.assembly()
@@ -102,7 +110,9 @@ def one_scatterer(quick: bool):
             yield same_field("one scatterer", f"field of a point {name}", *against_exact_sum(bench), TOLERANCE)
             modulus = np.abs(bench.with_(detector={"width": 1, "height": 1}).field()[0, 0])
             distance = np.linalg.norm(np.array([0, 0, 60.0]) - point)
-            yield compared("one scatterer", f"modulus 1/r, {name} [1/mm]", modulus, 1 / distance, TOLERANCE, relative=True)
+            yield compared(
+                "one scatterer", f"modulus 1/r, {name} [1/mm]", modulus, 1 / distance, TOLERANCE, relative=True
+            )
 
 
 def two_scatterers(quick: bool):
@@ -112,7 +122,9 @@ def two_scatterers(quick: bool):
         pitch = spacing / 16.3
         with point_scatterers([(-separation / 2, 0, 0), (separation / 2, 0, 0)]) as path:
             bench = Bench(
-                laser_angle=0.0, laser={"beam_radius": np.inf, "wavefront_radius": np.inf}, target=_only(path),
+                laser_angle=0.0,
+                laser={"beam_radius": np.inf, "wavefront_radius": np.inf},
+                target=_only(path),
                 detector={"width": 256, "height": 1, "pixel_pitch": pitch},
             )
             field = bench.field()[0]
@@ -129,17 +141,26 @@ def two_scatterers(quick: bool):
 
 
 def curved_target(quick: bool):
-    """A mesh of a spherical cap: the sum is exact, and the scatterers lie on the sphere but for facets and roughness."""
+    """A mesh of a spherical cap: the sum is exact, the scatterers lie on it but for facets and roughness."""
     radius = 5.0
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "cap.ply"
         _write_cap(path, radius)
-        bench = Bench(laser={"beam_radius": 0.3}, target={"filename": str(path), "roughness": 0.5, "point_sources": 200})
+        bench = Bench(
+            laser={"beam_radius": 0.3}, target={"filename": str(path), "roughness": 0.5, "point_sources": 200}
+        )
         yield same_field("curved target", "field of a spherical cap", *against_exact_sum(bench), TOLERANCE)
         position = bench.frame().scatterers.position
     off = np.linalg.norm(position + [0, 0, radius], axis=1) - radius
     sagitta = 0.05**2 / 8 / radius  # of facets of 50 um
-    yield within("curved target", "rms height of scatterers [um]", off.std() * 1e3, 0.5, abs(off.std() * 1e3 - 0.5), 0.1 + sagitta * 1e3)
+    yield within(
+        "curved target",
+        "rms height of scatterers [um]",
+        off.std() * 1e3,
+        0.5,
+        abs(off.std() * 1e3 - 0.5),
+        0.1 + sagitta * 1e3,
+    )
 
 
 def _write_cap(path: Path, radius: float) -> None:
@@ -147,12 +168,20 @@ def _write_cap(path: Path, radius: float) -> None:
     x, y = np.meshgrid(side, side)
     vertices = np.stack([x.ravel(), y.ravel(), np.sqrt(radius**2 - x.ravel() ** 2 - y.ravel() ** 2) - radius], axis=1)
     corner = (np.arange(40)[:, None] * 41 + np.arange(40)).ravel()
-    faces = np.concatenate([
-        np.stack([corner, corner + 1, corner + 42], axis=1), np.stack([corner, corner + 42, corner + 41], axis=1),
-    ])
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + 42], axis=1),
+            np.stack([corner, corner + 42, corner + 41], axis=1),
+        ]
+    )
     head = [
-        "ply", "format ascii 1.0", f"element vertex {len(vertices)}", *(f"property float {c}" for c in "xyz"),
-        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header",
+        "ply",
+        "format ascii 1.0",
+        f"element vertex {len(vertices)}",
+        *(f"property float {c}" for c in "xyz"),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
     ]
     lines = [*head, *(f"{a:.9g} {b:.9g} {c:.9g}" for a, b, c in vertices), *(f"3 {a} {b} {c}" for a, b, c in faces)]
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
@@ -179,6 +208,12 @@ def _only(path: str) -> dict:
 
 
 CASES = (
-    Case(roughness), Case(correlation_length), Case(heights_of_a_correlated_surface), Case(specular_spot_of_a_smooth_surface),
-    Case(partially_developed_speckle), Case(one_scatterer), Case(two_scatterers), Case(curved_target),
+    Case(roughness),
+    Case(correlation_length),
+    Case(heights_of_a_correlated_surface),
+    Case(specular_spot_of_a_smooth_surface),
+    Case(partially_developed_speckle),
+    Case(one_scatterer),
+    Case(two_scatterers),
+    Case(curved_target),
 )
