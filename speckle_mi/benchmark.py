@@ -417,25 +417,29 @@ def _single(seconds: float, memory: float | None, what: str) -> dict:
     }
 
 
+_MEASURING = """
+import subprocess, sys, time
+begin = time.perf_counter()
+done = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL)
+seconds = time.perf_counter() - begin
+try:
+    import resource
+    print(seconds, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
+except ImportError:
+    print(seconds, "nan")
+sys.exit(done.returncode)
+"""
+"""Runs a command from a small process: the peak memory that the system tells of one includes its parent's size."""
+
+
 def _command(arguments: list[str]) -> tuple[float, float | None]:
     """Seconds and peak memory [MB] (None where the system does not tell) of ``python -m speckle_mi.<arguments>``."""
-    begin = time.perf_counter()
-    process = subprocess.Popen(
-        [sys.executable, "-m", f"speckle_mi.{arguments[0]}", *arguments[1:]],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    message = process.stderr.read()
-    if hasattr(os, "wait4"):
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode, memory = os.waitstatus_to_exitcode(status), usage.ru_maxrss / 1024
-    else:
-        process.wait()
-        memory = None
-    if process.returncode != 0:
-        raise RuntimeError(f"speckle_mi.{arguments[0]} failed: {message.strip()}")
-    return time.perf_counter() - begin, memory
+    line = [sys.executable, "-m", f"speckle_mi.{arguments[0]}", *arguments[1:]]
+    done = subprocess.run([sys.executable, "-c", _MEASURING, *line], capture_output=True, text=True)
+    if done.returncode != 0:
+        raise RuntimeError(f"speckle_mi.{arguments[0]} failed: {done.stderr.strip()}")
+    seconds, memory = map(float, done.stdout.split())
+    return seconds, None if np.isnan(memory) else memory
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

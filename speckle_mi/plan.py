@@ -20,7 +20,7 @@ from .parameters import SceneError
 from .routes import Route, find_routes
 
 CLEAR_OF_EDGE = 25.0
-"""Fresnel parameter v of the nearest edge from which on it is not diffracted at: its wave is below 1/(pi sqrt(2) v)."""
+"""Fresnel parameter v of the nearest edge from which on it is not diffracted at: a straight edge's wave is then below 1 %."""
 
 NEAR_CAUSTIC = 1e-3
 """Cross section of a ray tube, relative to free space, below which geometric optics does not apply."""
@@ -184,12 +184,12 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
             )
         return (), "openings cast geometric shadows, as diffraction=false asks for"
     if geometric is not None:
-        fringe = np.array([_fresnel_clearance(assembly, channel, rim, geometric) for rim in channel.rims])
+        fringe, waves = np.array([_edge_wave(assembly, channel, rim, geometric) for rim in channel.rims]).T
         if np.all(fringe >= CLEAR_OF_EDGE):
             nearest = channel.rims[int(np.argmin(fringe))]
             return (), (
                 f"diffracts nothing: the nearest edge, of {nearest.name}, is clear of the light "
-                f"(its wave is below {1 / (np.pi * np.sqrt(2) * fringe.min()):.1%} of the field)"
+                f"(the edges' waves are about {waves.max():.1%} of the field)"
             )
         candidates = [rim for rim, v in zip(channel.rims, fringe) if v < CLEAR_OF_EDGE]
     else:
@@ -268,17 +268,26 @@ def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple
     return _View(sources, targets, traced.points), ""
 
 
-def _fresnel_clearance(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> float:
-    """Smallest Fresnel parameter v = d sqrt(2 / (lambda L)) of the rays' distance d to a rim, negative outside it.
+def _edge_wave(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> tuple[float, float]:
+    """How far the rays keep from a rim, and how strong its wave is on the detector, relative to the field.
 
-    1/L is the curvature at the rim's plane of the path over it, that is of its two parts together.
+    The first is the smallest Fresnel parameter v = d sqrt(2 / (lambda L)) of a ray's distance d to the rim, negative
+    outside it; 1/L is the curvature at the rim's plane of the path over it, that is of its two parts together. The wave
+    of a straight edge is 1/(pi sqrt(2) v) of the field; those of all parts of a round rim of radius R, seen over a
+    point at the distance r from its middle, add up to J0(k R r / L), of which the rms is taken.
     """
     hit = rim.plane.frame.to_local(view.points[rim.number])
     clearance = _clearance(rim.plane.outline, hit)
     nearest = int(np.argmin(clearance))
     pair = slice(nearest, nearest + 1)
     curvature = _curvature_over(channel, rim, view.sources[pair], view.targets[pair], view.points[rim.number, pair])
-    return float(clearance[nearest] * np.sqrt(2 * abs(curvature) / assembly.beam.wavelength))
+    v = float(clearance[nearest] * np.sqrt(2 * abs(curvature) / assembly.beam.wavelength))
+    wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 1.0
+    if isinstance(rim.plane.outline, Circle):
+        turns = assembly.beam.wavenumber * rim.plane.outline.radius * np.hypot(hit[:, 0], hit[:, 1]) * abs(curvature)
+        with np.errstate(divide="ignore"):
+            wave = max(wave, float(np.sqrt(np.mean(np.minimum(1.0, 2 / (np.pi * turns))))))
+    return v, wave
 
 
 def _clearance(outline: Circle | Rectangle, local: np.ndarray) -> np.ndarray:

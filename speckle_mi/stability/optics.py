@@ -94,7 +94,7 @@ def _geometric_limit(number: float) -> Check:
     error = float(np.linalg.norm(field.ravel()[beside] - reference) / np.linalg.norm(reference))
     line = next((line for line in frame.plan if "nearest edge" in line), "")
     name = f"field beside the axis at {number:g}"
-    stated = re.search(r"below ([0-9.]+)%", line)
+    stated = re.search(r"about ([0-9.]+)%", line)
     if stated is None:  # diffracted after all
         return within("Fresnel number", name, error, 0.0, error, TOLERANCE)
     bound = float(stated.group(1)) / 100
