@@ -14,11 +14,12 @@ from types import ModuleType
 import numpy as np
 
 _MARK = "remembers_transforms"
-_LOADERS = {"load_file": "parse_file", "load_string": "parse_string"}
+_LOADERS = {"load_file": "parse_file", "load_string": "parse_string", "load_dict": "parse_dict"}
+_NOT_FOR_THE_PARSER = ("parallel", "optimize")
 
 
 def remember_transforms(mitsuba: ModuleType) -> None:
-    """Makes ``mitsuba.load_file`` and ``mitsuba.load_string``, which serve all variants, keep what they would round."""
+    """Makes Mitsuba's loaders, which serve all variants, keep the transforms they would round and the shapes they would merge."""
     for loader, parse in _LOADERS.items():
         load = getattr(mitsuba, loader)
         if not hasattr(load, _MARK):
@@ -28,16 +29,23 @@ def remember_transforms(mitsuba: ModuleType) -> None:
 def _remembering(mitsuba: ModuleType, load: Callable, parse: str) -> Callable:
     @functools.wraps(load)
     def loading(source, *arguments, **parameters):
-        scene = load(source, *arguments, **parameters)
-        shapes = scene.shapes() if isinstance(scene, mitsuba.Scene) else []
-        owner = next((shape for shape in shapes if hasattr(shape, "precise_transforms")), None)
-        if owner is not None and len(shapes) > 1:
-            config = mitsuba.parser.ParserConfig(mitsuba.variant())
-            values = {name: str(value) for name, value in parameters.items() if name not in ("parallel", "optimize")}
-            state = getattr(mitsuba.parser, parse)(config, source, **values)
-            owner.precise_transforms = {
-                node.props.id(): _matrix(node.props) for node in state.nodes if node.props.id() and _is_placed(node.props)
-            }
+        if mitsuba.variant() is None:
+            return load(source, *arguments, **parameters)
+        config = mitsuba.parser.ParserConfig(mitsuba.variant())
+        values = {name: str(value) for name, value in parameters.items() if name not in _NOT_FOR_THE_PARSER}
+        try:
+            nodes = list(getattr(mitsuba.parser, parse)(config, source, **values).nodes)
+        except Exception:  # the loader itself says best what is wrong with the source
+            return load(source, *arguments, **parameters)
+        if not any(node.props.plugin_name() == "rough_target" for node in nodes):
+            return load(source, *arguments, **parameters)
+        # Merging shapes of one material into one mesh, Mitsuba's default, would take mirrors and plates apart.
+        scene = load(source, *arguments, **{"optimize": False, **parameters})
+        for shape in scene.shapes() if isinstance(scene, mitsuba.Scene) else ():
+            if hasattr(shape, "precise_transforms"):
+                shape.precise_transforms = {
+                    node.props.id(): _matrix(node.props) for node in nodes if node.props.id() and _is_placed(node.props)
+                }
         return scene
 
     setattr(loading, _MARK, True)

@@ -34,7 +34,7 @@ _SAME_FACE = 0.02
 """Part of an element's size within which a second hit of the same face is the mesh's facet, not the face again."""
 
 _STRAY_SHARE = 2e-3
-"""Share of the most travelled route's rays below which a route is a leak between facets of a mesh."""
+"""Share of the most travelled route's rays below which a route may be a leak between facets of a mesh."""
 
 _HEMISPHERE_RAYS = 2048
 _DETECTOR_RAYS = 24
@@ -48,12 +48,13 @@ class Route:
     """One way from the target to the detector.
 
     names: the elements' names in order; interactions: what happens at each of their surfaces; rays: how many of the
-    test rays took it.
+    test rays took it; steps: (element, face, action) of every interaction.
     """
 
     names: tuple[str, ...]
     interactions: tuple[Interaction, ...]
     rays: int
+    steps: tuple[tuple[int, int, str], ...] = ()
 
     @property
     def label(self) -> str:
@@ -86,15 +87,18 @@ def find_routes(assembly: Assembly) -> Arrivals:
     spot, normal = assembly.spot_at(frame)
     clearance = _clearance(assembly)
     start = spot + clearance * (normal + 3.7 * frame.axes[:, 0] + 7.1 * frame.axes[:, 1])
-    rays = _Rays(np.broadcast_to(start, directions.shape).copy(), directions, clearance)
-    for _ in range(MAX_INTERACTIONS):
-        if not np.any(rays.alive):
-            break
-        _advance(assembly, rays)
-    arrived = _routes(assembly.elements, rays.arrived)
-    passed_by = _routes(assembly.elements, {steps: way for steps, way in rays.passed_by.items() if steps not in rays.arrived})
-    arrived += tuple(route for route in passed_by if _can_be_aimed(assembly, spot, route))
-    return Arrivals(arrived or passed_by, bool(arrived), rays.stopped)
+    rays = _follow(assembly, start, directions, clearance)
+    arrived, passed_by = _routes(assembly.elements, rays.arrived), _routes(assembly.elements, rays.passed_by)
+    # Few rays may be a leak between the facets of a mesh, or a narrow way: aiming tells.
+    enough = _STRAY_SHARE * max((route.rays for route in arrived), default=0)
+    sure = [route for route in arrived if route.rays > enough]
+    known = {route.steps for route in sure}
+    for route in (*arrived, *passed_by):
+        if route.steps not in known and _can_be_aimed(assembly, start, clearance, route):
+            sure.append(route)
+            known.add(route.steps)
+    beside = tuple(route for route in passed_by if route.rays > _STRAY_SHARE * passed_by[0].rays)
+    return Arrivals(tuple(sure) or beside, bool(sure), rays.stopped)
 
 
 def _clearance(assembly: Assembly) -> float:
@@ -104,8 +108,21 @@ def _clearance(assembly: Assembly) -> float:
     return max(_CLEARANCE, 16 * float(np.finfo(np.float32).eps) * largest)
 
 
-def _can_be_aimed(assembly: Assembly, spot: np.ndarray, route: Route) -> bool:
-    """Whether the middle or a corner of the detector is reached over a route, inside all outlines."""
+def _follow(assembly: Assembly, start: np.ndarray, directions: np.ndarray, clearance: float) -> _Rays:
+    """Rays from one place (3,) along directions (n, 3) to their ends."""
+    rays = _Rays(np.broadcast_to(start, directions.shape).copy(), directions.copy(), clearance)
+    for _ in range(MAX_INTERACTIONS):
+        if not np.any(rays.alive):
+            break
+        _advance(assembly, rays)
+    return rays
+
+
+def _can_be_aimed(assembly: Assembly, start: np.ndarray, clearance: float, route: Route) -> bool:
+    """Whether the middle or a corner of the detector is reached over a route, inside all outlines.
+
+    The aimed ray is followed through the scene again: another element may stand in its way.
+    """
     grid = assembly.detector
     half_u, half_v = 0.5 * grid.pitch * (grid.shape[1] - 1), 0.5 * grid.pitch * (grid.shape[0] - 1)
     signs = ((0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1))
@@ -114,16 +131,18 @@ def _can_be_aimed(assembly: Assembly, spot: np.ndarray, route: Route) -> bool:
         return False  # the straight way needs no aim: a test ray goes to each part of the detector
     plane = Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1)))
     sequence = Sequence((*route.interactions, Interaction.through(plane)))
-    aimed = aim(sequence, np.broadcast_to(spot, targets.shape), targets)
-    return bool(np.any(aimed.converged & np.all(aimed.margins >= 0, axis=0)))
+    aimed = aim(sequence, np.broadcast_to(start, targets.shape), targets)
+    free = aimed.converged & np.all(aimed.margins >= 0, axis=0)
+    if not np.any(free):
+        return False
+    again = _follow(assembly, start, aimed.launch[free], clearance)
+    return route.steps in again.arrived or route.steps in again.passed_by
 
 
 def _routes(elements: tuple[Element, ...], arrived: dict) -> tuple[Route, ...]:
-    least = max(count for count, _ in arrived.values()) * _STRAY_SHARE if arrived else 0
     routes = [
-        Route(tuple(elements[number].name for number, *_ in steps), interactions, count)
+        Route(tuple(elements[number].name for number, *_ in steps), interactions, count, steps)
         for steps, (count, interactions) in arrived.items()
-        if count > least
     ]
     return tuple(sorted(routes, key=lambda route: -route.rays))
 

@@ -100,7 +100,7 @@ def ball_surfaces(centre, radius):
     ]
 
 
-@pytest.mark.parametrize("distance, detector_z", [(6.5, 11.0), (6.5, 60.0), (20.0, 24.0), (20.0, 60.0)])
+@pytest.mark.parametrize("distance, detector_z", [(6.5, 11.0), (6.5, 60.0), (20.0, 60.0)])
 @pytest.mark.parametrize("source", [(0.0, 0.0, 0.0), (0.3, -0.4, 0.0)])
 def test_field_behind_a_ball_lens_is_that_of_the_path_fermat_gives(assemble, tmp_path, distance, detector_z, source):
     centre, radius = np.array([0.1, 0.0, distance]), 3.0

@@ -246,8 +246,13 @@ def _compress(kernel: np.ndarray, rows: np.ndarray, tolerance: float) -> tuple[n
     """
     # The nodes join with a weight of a tenth of the tolerance: nothing in the box is left out altogether.
     floor = 0.1 * tolerance * np.linalg.norm(rows) / (np.linalg.norm(kernel) or 1.0)
-    gram = rows.conj().T @ rows + floor**2 * (kernel.conj().T @ kernel)
-    values, vectors = np.linalg.eigh(gram)
+    stacked = np.concatenate([rows, floor * kernel])
+    if len(stacked) < stacked.shape[1]:
+        # Fewer rows than targets: the Gram matrix of the rows has the same spectrum and is the smaller one.
+        values, vectors = np.linalg.eigh(stacked @ stacked.conj().T)
+        vectors = stacked.conj().T @ (vectors / np.sqrt(np.maximum(values, np.finfo(float).tiny)))
+    else:
+        values, vectors = np.linalg.eigh(stacked.conj().T @ stacked)
     left_out = np.sqrt(np.cumsum(np.maximum(values, 0.0)))
     rank = max(1, int(np.count_nonzero(left_out > RANK_SHARE * tolerance * left_out[-1])))
     if rank > LARGEST_RANK:
