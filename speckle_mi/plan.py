@@ -17,13 +17,16 @@ from .optics.surfaces import Circle, Interaction, Rectangle, Sequence, Surface
 from .optics.trace import RayStatus, trace
 from .optics.unfold import unfold
 from .parameters import SceneError
-from .routes import Route, find_routes
+from .routes import Route, find_routes, points_on
 
 CLEAR_OF_EDGE = 25.0
 """Fresnel parameter v of the nearest edge from which on it is not diffracted at: a straight edge's wave is then below 1 %."""
 
 NEAR_CAUSTIC = 1e-3
 """Cross section of a ray tube, relative to free space, below which geometric optics does not apply."""
+
+_SAME_RAY = 1e-6
+"""Angle [rad] up to which two rays to one place are the same."""
 
 _RIM_POINTS = 48
 _DETECTOR_SAMPLES = 9
@@ -264,8 +267,27 @@ def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple
         return None, "a part of the detector is reached by no ray"
     if len(lost) or np.min(np.abs(aimed.spread)) < NEAR_CAUSTIC or np.ptp(aimed.caustics) > 0:
         return None, "a focus or caustic lies at the detector"
+    if channel.has_power and _several_rays(channel, spots[0]):
+        return None, "several rays reach the same pixel, inside a caustic,"
     traced = trace(sequence, sources, aimed.launch)
     return _View(sources, targets, traced.points), ""
+
+
+def _several_rays(channel: Channel, spot: np.ndarray) -> bool:
+    """Whether a fan of rays from the spot's middle finds a second ray to a pixel besides the one that is aimed at it."""
+    fan = points_on(channel.interactions[0].surface) - spot
+    sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
+    traced = trace(sequence, np.broadcast_to(spot, fan.shape), fan)
+    grid, end = channel.grid, traced.points[-1] - channel.grid.centre
+    lands = traced.valid & (np.abs(end @ grid.u) <= 0.5 * grid.pitch * grid.shape[1])
+    lands &= np.abs(end @ grid.v) <= 0.5 * grid.pitch * grid.shape[0]
+    if not np.any(lands):
+        return False
+    places = traced.points[-1, lands]
+    aimed = aim(sequence, np.broadcast_to(spot, places.shape), places)
+    directions = fan[lands] / np.linalg.norm(fan[lands], axis=1, keepdims=True)
+    apart = np.linalg.norm(aimed.launch - directions, axis=1)
+    return bool(np.any(apart[aimed.converged] > _SAME_RAY))
 
 
 def _edge_wave(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> tuple[float, float]:

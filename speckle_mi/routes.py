@@ -193,7 +193,7 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     a, b = (values.ravel() for values in np.meshgrid(side, side))
     targets = [grid.centre[None], grid.centre + a[:, None] * half_u * grid.u + b[:, None] * half_v * grid.v]
     for element in assembly.elements:
-        targets += [_points_on(face) for face in element.faces]
+        targets += [points_on(face) for face in element.faces]
         corners = np.array([element.shape.bbox().min, element.shape.bbox().max], dtype=np.float64)
         targets.append(0.5 * (corners[:1] + corners[1:]))
     towards = np.concatenate(targets) - spot
@@ -213,7 +213,7 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     return directions[directions @ normal > 1e-6]
 
 
-def _points_on(face) -> np.ndarray:
+def points_on(face) -> np.ndarray:
     """World points (n, 3) spread over a face inside its rim."""
     number = np.arange(_ELEMENT_RAYS**2) + 0.5
     radius, angle = np.sqrt(number / _ELEMENT_RAYS**2), np.pi * (1 + 5**0.5) * number

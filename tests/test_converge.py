@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 from conftest import SCENES
 
-from speckle_mi.converge import (
+from speckle_mi.converge import main
+from speckle_mi.convergence_frame import (
     DOES_NOT_APPLY,
     LEFT_OUT,
     MEASURED,
     Row,
-    Scatter,
     Setting,
     exact_sample,
-    main,
     with_point_sources,
 )
+from speckle_mi.convergence_scatter import Scatter
 from speckle_mi.geometry import Pose
 from speckle_mi.simulate import simulate_frame
 

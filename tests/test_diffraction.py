@@ -88,10 +88,10 @@ def test_light_behind_a_rectangular_aperture_is_the_exact_integral(assemble, tmp
 
 def test_light_behind_a_wide_rectangle_has_fresnels_fringes_at_its_edge(assemble, tmp_path):
     # Near one edge of a wide opening: (1 + i)/2-normalised Fresnel integral, paraxial.
-    z1, z2, edge = 40.0, 40.0, 0.8
+    z1, z2, edge = 40.0, 40.0, 0.5
     frame = Frame(np.array([0.0, 0.0, z1]), np.eye(3))
     xml = element_xml("aperture", "screen", frame, shape="rectangle", width=2 * edge, height=2 * edge)
-    text = bench(tmp_path, (0, 0, 0), facing(z1 + z2), [xml], pixels=(120, 1), pitch=0.035)
+    text = bench(tmp_path, (0, 0, 0), facing(z1 + z2), [xml], pixels=(120, 1), pitch=0.025)
     assembly, _, field = rendered(assemble, text)
     targets = assembly.detector.points()
     scale = np.sqrt(2 / WAVELENGTH * (1 / z1 + 1 / z2))
@@ -102,7 +102,7 @@ def test_light_behind_a_wide_rectangle_has_fresnels_fringes_at_its_edge(assemble
 
     expected = np.abs(side(targets[:, 0]) * side(targets[:, 1])) ** 2
     measured = np.abs(field.ravel()) ** 2 * (targets**2).sum(axis=1)
-    # The next order of the path adds k x^4/(8 z^3), under 1e-2 rad here, to phases of hundreds.
+    # The next order of the path, k x^4/8 (1/z1^3 + 1/z2^3), is 2.4e-3 rad at the edge.
     assert np.max(np.abs(measured - expected)) <= 1e-2
 
 
@@ -149,10 +149,10 @@ def test_opening_in_glassless_light_of_many_sources_is_the_sum_of_each(assemble,
     points = np.array([[0.0, 0, 0], [0.1, 0.05, 0.001], [-0.08, 0.1, -0.001], [0.02, -0.12, 0.0]])
     frame = Frame(np.array([0.0, 0, 41.0]), np.eye(3))
     xml = element_xml("aperture", "hole", frame, radius=0.5)
-    assembly = assemble(bench(tmp_path, points, facing(75), [xml], pixels=(24, 16), pitch=0.1))
+    assembly = assemble(bench(tmp_path, points, facing(75), [xml], pixels=(16, 8), pitch=0.15))
     made = simulate_frame(assembly)
     targets = assembly.detector.points()
-    exact = sum(c * through(p, frame, disc_nodes(0.5, 160, 640), targets) for p, c in zip(made.scatterers.position, made.scatterers.amplitude, strict=True))
+    exact = sum(c * through(p, frame, disc_nodes(0.5, 100, 400), targets) for p, c in zip(made.scatterers.position, made.scatterers.amplitude, strict=True))
     assert np.linalg.norm(made.image.field.ravel() - exact) <= INTENSITY * np.linalg.norm(exact)
     assert np.linalg.norm(made.image.field.ravel() - exact) <= 3 * max(made.numerical_error, 1e-6) * np.linalg.norm(exact)
 
