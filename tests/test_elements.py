@@ -202,7 +202,7 @@ def test_changed_parameters_take_effect():
         (BICONVEX | {"to_world": mi.ScalarTransform4f().scale([1, 1, -1])}, "mirrors"),
         (BICONVEX | {"to_world": mi.ScalarTransform4f().scale(2)}, "scales or shears"),
         ({"type": "aperture"}, "'radius' is missing"),
-        ({"type": "aperture", "radius": 0.0}, "'radius' is 0 mm, must be above 0 mm"),
+        ({"type": "aperture", "radius": 0.0}, "'radius' is 0 mm, must be at least 1e-06 mm"),
         ({"type": "aperture", "radius": 1.0, "width": 1.0}, "has 'width', but a circle is given by radius"),
         ({"type": "aperture", "radius": 1.0, "outer_radius": 1.0}, "'outer_radius' is 1 mm, must be more than 1.0"),
         ({"type": "aperture", "shape": "hexagon", "radius": 1.0}, "must be one of circle, rectangle"),

