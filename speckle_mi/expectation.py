@@ -83,10 +83,18 @@ def _beam_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -
 
 
 def _pupil_correlation(assembly: Assembly, channel: Channel, dof: str, displacements: np.ndarray) -> np.ndarray | None:
-    if len(channel.openings) != 1 or not isinstance(channel.openings[0].plane.outline, Circle) or channel.leg(0):
+    if len(channel.openings) != 1 or not isinstance(channel.openings[0].plane.outline, Circle):
         return None
     plane = channel.openings[0].plane
-    per_motion = _free_space(assembly, plane.frame.origin, plane.frame.axes[:, 0], plane.frame.axes[:, 1])
+    u, v = plane.frame.axes[:, 0], plane.frame.axes[:, 1]
+    if not channel.leg(0):
+        per_motion = _free_space(assembly, plane.frame.origin, u, v)
+    else:
+        end = Interaction.through(Surface(plane.frame), channel.openings[0].index)
+        middle = _opening_middle(channel)
+        per_motion = _imaged(assembly, _chief_ray(assembly, channel, Sequence((*channel.leg(0), end)), u, v, middle))
+    if per_motion is None:
+        return None
     moved = np.linalg.norm(per_motion[:, DEGREES_OF_FREEDOM.index(dof)])
     size = np.abs(displacements) * (np.pi / 180 if is_rotation(dof) else 1.0)
     return theory.decorrelation_circular_pupil(np.minimum(moved * size / (2 * plane.outline.radius), 1.0))
@@ -104,7 +112,12 @@ def _pattern_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | 
     grid = channel.grid
     if not channel.has_power:
         return _free_space(assembly, grid.centre, grid.u, grid.v)
-    view = _chief_ray(assembly, channel)
+    system = Sequence((*channel.interactions, detector_plane(grid)))
+    return _imaged(assembly, _chief_ray(assembly, channel, system, grid.u, grid.v, _opening_zones(channel)))
+
+
+def _imaged(assembly: Assembly, view: _ChiefRay | None) -> np.ndarray | None:
+    """(2, 6) displacement [mm/mm, mm/rad] of the pattern that a system forms at the end of a chief ray."""
     if view is None:
         return None
     defocus = np.linalg.solve(view.magnification, view.lever)
@@ -151,10 +164,13 @@ class _ChiefRay:
     distance: float
 
 
-def _chief_ray(assembly: Assembly, channel: Channel) -> _ChiefRay | None:
+def _chief_ray(
+    assembly: Assembly, channel: Channel, system: Sequence, u: np.ndarray, v: np.ndarray, places: np.ndarray
+) -> _ChiefRay | None:
+    """The chief ray through ``system``, whose end is measured along u and v, with the rays over ``places`` (n, 3)."""
     spot = assembly.target.spot
     launch = _launch_to(channel, spot[None], _opening_middle(channel))
-    zones = _launch_to(channel, spot[None], _opening_zones(channel))
+    zones = _launch_to(channel, spot[None], places)
     if launch is None or zones is None:
         return None
     sight = launch[0]
@@ -163,13 +179,12 @@ def _chief_ray(assembly: Assembly, channel: Channel) -> _ChiefRay | None:
         first = np.cross(sight, assembly.target.frame.axes[:, 0])
     first /= -np.linalg.norm(first)
     across = np.stack([first, np.cross(sight, first)])
-    system = Sequence((*channel.interactions, detector_plane(channel.grid)))
     shifts = np.concatenate([np.outer([1.0, -1.0], a) for a in across]) * _STEP
     moved = trace(system, np.tile(spot + shifts, (len(zones), 1)), np.repeat(zones, 4, axis=0)).points[-1]
     tilted = trace(system, np.broadcast_to(spot, zones.shape), zones).points[-1]
     if not (np.all(np.isfinite(moved)) and np.all(np.isfinite(tilted))):
         return None
-    plane = np.stack([channel.grid.u, channel.grid.v], axis=1)
+    plane = np.stack([u, v], axis=1)
     moved = (moved @ plane).reshape(len(zones), 4, 2).mean(axis=0)
     magnification = ((moved[0::2] - moved[1::2]) / (2 * _STEP)).T
     # Slopes at the spot: the transverse part of a direction over its part along the chief ray.

@@ -27,7 +27,8 @@ FIRST_MINIMUM = 2e-3  # Relative, of the first dark ring's radius: the promise.
 
 def point_image(assemble, tmp_path, source, detector_z, centre, pixels, pitch, diffraction=True):
     """(assembly, field (n,) of a unit source) around ``centre`` (2,) on the detector."""
-    lens = element_xml("lens", "lens", Frame(np.array([0.0, 0, LENS_Z]), np.eye(3)), radius1=50.0, radius2=-50.0, thickness=5.0, diameter=20.0, ior=INDEX)
+    form = dict(radius1=50.0, radius2=-50.0, thickness=5.0, diameter=20.0, ior=INDEX)
+    lens = element_xml("lens", "lens", Frame(np.array([0.0, 0, LENS_Z]), np.eye(3)), **form)
     stop = element_xml("aperture", "stop", Frame(np.array([0.0, 0, STOP_Z]), np.eye(3)), radius=STOP, outer_radius=15.0)
     frame = detector_frame(direction(0), detector_z)
     frame = Frame(frame.origin + [*centre, 0.0], frame.axes)
@@ -51,7 +52,8 @@ def huygens(source, targets, rings=60, spokes=160):
 def test_image_of_a_point_is_the_huygens_sum_over_the_stop(assemble, tmp_path, defocus, off_axis):
     source = np.array([0.6 * off_axis, 0.8 * off_axis, 0.0])
     detector_z = PARAXIAL + defocus
-    assembly, field = point_image(assemble, tmp_path, source, detector_z, -source[:2] * (1 + 0.01 * defocus), (27, 25), 0.005)
+    centre = -source[:2] * (1 + 0.01 * defocus)
+    assembly, field = point_image(assemble, tmp_path, source, detector_z, centre, (27, 25), 0.005)
     targets = assembly.detector.points()
     exact = huygens(source, targets)
     assert np.max(np.abs(huygens(source, targets[::40], 90, 240) - exact[::40])) <= 1e-7 * np.abs(exact).max()
@@ -88,12 +90,12 @@ def imaging(shipped, name="imaging", **values):
     return shipped(name, **({"width": STEPS, "height": STEPS, "beam_radius": 0.15, "point_sources": 400} | values))
 
 
-def shifts(assembly, poses, seeds=SEEDS):
+def shifts(assembly, poses, seeds=SEEDS, window=None):
     """((seeds, poses, 2) shift [mm] along u, v; (seeds, poses) correlation)."""
     found, peaks = [], []
     for seed in seeds:
         surface = assembly.with_seed(seed)
-        correlator = Correlator(simulate(surface, Pose()).intensity, None)
+        correlator = Correlator(simulate(surface, Pose()).intensity, window)
         results = [correlator.shift(simulate(surface, pose).intensity) for pose in poses]
         found.append([[r.u_px, r.v_px] for r in results])
         peaks.append([r.ncc for r in results])
@@ -103,7 +105,8 @@ def shifts(assembly, poses, seeds=SEEDS):
 def chief_ray_magnification(detector_z):
     """Of the plane through the detector, with the stop's middle as the centre of projection, by Fermat's principle."""
     surfaces = lens_surfaces([0, 0, LENS_Z], np.eye(3), 50.0, -50.0, 5.0, INDEX)
-    source, pupil = np.array([0.01, 0.0, 0.0]), np.array([[0.0, 0.0, STOP_Z], [1e-4, 0.0, STOP_Z], [-1e-4, 0.0, STOP_Z]])
+    source = np.array([0.01, 0.0, 0.0])
+    pupil = np.array([[0.0, 0.0, STOP_Z], [1e-4, 0.0, STOP_Z], [-1e-4, 0.0, STOP_Z]])
     length, _ = fermat(source, surfaces, pupil, thin_lens_start(source, pupil, surfaces, 49.37))
     slope = (length[1] - length[2]) / 2e-4  # Direction cosine of the chief ray behind the stop.
     return slope / np.sqrt(1 - slope**2) * (detector_z - STOP_Z) / 0.01
@@ -140,7 +143,8 @@ def test_image_in_focus_does_not_move_with_tilt_and_out_of_focus_it_does_as_theo
         object_defocus = defocus / (m * chief_ray_magnification(FOCUS))
         beam, grid = assembly.beam, assembly.detector
         expected = theory.imaging_displacement(
-            np.zeros(3), np.zeros(3), np.eye(3), -beam.axis, beam.wavefront_radius, np.array([0.0, 0, 1]), grid.u, grid.v, m, object_defocus
+            np.zeros(3), np.zeros(3), np.eye(3), -beam.axis, beam.wavefront_radius,
+            np.array([0.0, 0, 1]), grid.u, grid.v, m, object_defocus,
         )[:, [4, 3]].T
         mean, spread = measured.mean(axis=0), measured.std(axis=0, ddof=1) / np.sqrt(len(measured))
         # First-order theory leaves out that the pupil cuts off other light after the tilt: some percent of the shift.
@@ -152,17 +156,16 @@ def test_image_in_focus_does_not_move_with_tilt_and_out_of_focus_it_does_as_theo
 
 @pytest.mark.parametrize("share", [0.2, 0.4, 0.6])
 def test_decorrelation_with_tilt_follows_the_overlap_of_pupils(shipped, share):
-    # A tilt turns the light at the stop by (1 + cos 30 deg) Omega over the lens's distance; the pupil is the stop's image.
+    # A tilt under light from straight above turns the pattern by twice its angle; the pupil is the stop's image.
     system = system_matrix([(1 / 50.0, 5.0, INDEX), (-1 / 50.0, STOP_Z - LENS_Z - 5.0, 1.0)])
     position, radius = entrance_pupil(system, STOP)
-    distance = LENS_Z + position
-    tilt = share * 2 * radius / distance / 2  # Light from straight above: the pattern turns by twice the tilt.
-    assembly = imaging(shipped, laser_angle=0)
-    _, peaks = shifts(assembly, [Pose(ry=np.degrees(tilt)), Pose(rx=np.degrees(tilt))], range(6))
+    tilt = np.degrees(share * 2 * radius / (LENS_Z + position) / 2)
+    # In a spot much wider than the window, or else the envelope of the light correlates as well.
+    assembly = imaging(shipped, laser_angle=0, beam_radius=0.35, point_sources=1600, width=96, height=96)
+    _, peaks = shifts(assembly, [Pose(ry=tilt), Pose(rx=tilt)], range(6), window=64)
     expected = theory.decorrelation_circular_pupil(share)
-    mean = peaks.mean()
-    spread = peaks.mean(axis=1).std(ddof=1) / np.sqrt(len(peaks))
-    assert abs(mean - expected) <= 3 * spread + 0.02, (mean, expected, spread)
+    error = peaks.mean(axis=1).std(ddof=1) / np.sqrt(len(peaks))
+    assert abs(peaks.mean() - expected) <= 3 * error + 0.02, (peaks.mean(), expected, error)
 
 
 # Integrated sensor
@@ -173,11 +176,11 @@ COG_TOLERANCE = 0.02  # The promise.
 
 def test_light_of_a_point_that_slides_along_the_beam_moves_behind_the_aperture_as_triangulation_says(assemble, tmp_path):
     hole = element_xml("aperture", "aperture", Frame(np.array([0.0, 0, 41.0]), np.eye(3)), radius=0.5)
-    places = np.array([-0.1, 0.0, 0.1])
+    places = np.array([0.0, 0.025, 0.05])
     centres = []
     for z in places:
         source = np.array([-z * np.tan(np.radians(39)), 0.0, z])
-        text = bench(tmp_path, source, detector_frame(direction(0), 75.0), [hole], pixels=(186, 120), pitch=0.024, tolerance=1e-4)
+        text = bench(tmp_path, source, detector_frame(direction(0), 75.0), [hole], pixels=(186, 120), pitch=0.024)
         assembly = assemble(text)
         centres.append(centre_of_gravity(simulate(assembly).intensity)[0] * assembly.detector.pitch * assembly.detector.u[0])
     assert np.polyfit(places, centres, 1)[0] == pytest.approx(COG, rel=COG_TOLERANCE)
@@ -185,28 +188,33 @@ def test_light_of_a_point_that_slides_along_the_beam_moves_behind_the_aperture_a
 
 @pytest.mark.parametrize("sources", [80, 160])
 def test_centre_of_gravity_of_the_integrated_sensor_moves_by_the_apertures_projection(shipped, sources):
-    assembly = shipped("integrated_sensor", point_sources=sources, width=186, height=120, pixel_pitch=0.024, tolerance="1e-3")
+    coarse = dict(width=186, height=120, pixel_pitch=0.024, tolerance="1e-3")
+    assembly = shipped("integrated_sensor", point_sources=sources, **coarse)
     slopes = []
     for seed in range(12):
         surface = assembly.with_seed(seed)
         low, high = (centre_of_gravity(simulate(surface, Pose(z=z)).intensity)[0] for z in (-0.1, 0.1))
         slopes.append((high - low) / 0.2 * assembly.detector.pitch * assembly.detector.u[0])
     mean, error = np.mean(slopes), np.std(slopes, ddof=1) / np.sqrt(len(slopes))
-    # A single surface scatters by a third of the slope: speckle moves its centre of gravity more than 2 % of surfaces can average.
+    # A single surface scatters by a third of the slope, as the paper found too: 2 % needs the interval beside it.
     assert abs(mean - COG) <= COG_TOLERANCE * COG + 2 * error, (mean, error)
     assert error < 0.2 * COG, error
 
 
-def test_speckle_shift_of_the_integrated_sensor_is_that_of_the_tilted_laser_at_its_distances(shipped):
+@pytest.mark.parametrize("displacement, diffraction", [(0.01, "false"), (0.05, "true")])
+def test_speckle_shift_of_the_integrated_sensor_is_the_tilted_lasers_at_its_distances(shipped, displacement, diffraction):
+    """With diffraction only motions of half a speckle and more: the aperture's rings stand still and hold smaller ones back."""
     # A wider spot than the scene has makes more speckles in the lit disc; where they go does not depend on it.
-    assembly = shipped("integrated_sensor", width=372, height=240, pixel_pitch=0.012, beam_radius=0.3, point_sources=150)
+    assembly = shipped(
+        "integrated_sensor", width=372, height=240, pixel_pitch=0.012, beam_radius=0.3, point_sources=150, diffraction=diffraction
+    )
     beam, grid = assembly.beam, assembly.detector
     expected = theory.first_order_displacement(
         np.zeros(3), np.zeros(3), np.eye(3), -beam.axis, beam.wavefront_radius, grid.centre, grid.u, grid.v
     )
-    poses = [Pose(x=0.01), Pose(x=-0.01), Pose(y=0.01), Pose(y=-0.01)]
-    moved, _ = shifts(assembly, poses, range(4))
-    for axis, (plus, column) in enumerate(((0, 0), (2, 1))):
-        value = (moved[:, plus, axis] - moved[:, plus + 1, axis]) / 0.02
+    a = displacement
+    moved, _ = shifts(assembly, [Pose(x=a), Pose(x=-a), Pose(y=a), Pose(y=-a)], range(4), window=64)
+    for plus, axis in ((0, 0), (2, 1)):
+        value = (moved[:, plus, axis] - moved[:, plus + 1, axis]) / (2 * a)
         error = value.std(ddof=1) / np.sqrt(len(value))
-        assert abs(value.mean() - expected[axis, column]) <= 3 * error + 0.01, (value.mean(), expected[axis, column], error)
+        assert abs(value.mean() - expected[axis, axis]) <= 3 * error + 0.01, (value.mean(), expected[axis, axis], error)

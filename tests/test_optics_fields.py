@@ -327,3 +327,19 @@ def test_every_shipped_scene_has_a_plan(shipped):
     for path in SCENES.glob("*.xml"):
         plan = plan_of(shipped(path.stem, width=32, height=32))
         assert plan.channels and not plan.warnings, path.name
+
+
+def test_tilt_decorrelates_an_image_as_the_pupils_overlap(shipped):
+    from speckle_mi.expectation import expected_correlation
+
+    # Enough scatterers for several in each resolution cell of the lens, or the image shows single points.
+    assembly = shipped("imaging", beam_radius=0.4, point_sources=12000)
+    tilt = 0.2
+    peaks = []
+    for seed in range(3):
+        surface = assembly.with_seed(seed)
+        peaks.append(Correlator(simulate(surface).intensity).shift(simulate(surface, Pose(ry=tilt)).intensity).ncc)
+    expected = expected_correlation(assembly, "ry", np.array([tilt]))[0]
+    assert 0.5 < expected < 0.8
+    # The spot's image stands still under the speckle, which holds some percent of correlation.
+    assert np.mean(peaks) == pytest.approx(expected, abs=0.06)
