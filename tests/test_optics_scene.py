@@ -328,7 +328,7 @@ def test_rays_converge_to_the_exact_field_through_lens_and_stop_as_their_number_
     exact = simulate_frame(shipped("imaging", tolerance=1e-6, **values))
     assembly = shipped("imaging", method="rays", **values)
     errors = []
-    for rays in (25, 100, 400):
+    for rays in (16, 36, 400):
         field = simulate_frame(assembly.with_options(rays_per_source=rays)).image.field
         errors.append(np.linalg.norm(field - exact.image.field) / np.linalg.norm(exact.image.field))
-    assert np.all(np.diff(errors) < 0) and errors[-1] < 1e-3, errors
+    assert np.all(np.diff(errors) < 0) and errors[-1] < 1e-6, errors
