@@ -154,18 +154,22 @@ def illuminated_scatterers(surface: RoughSurface, beam: Beam, frame: Frame) -> S
     if np.isfinite(beam.radius):
         lit &= beam_kernel.across_squared(mean) <= beam_kernel.cutoff * beam_kernel.cutoff
     # Everything is computed for all cells at once in one kernel; then those under the beam are picked.
-    values = [*position, real, imaginary, *(facets.normal if surface.facets.count > 1 else ())]
-    dr.eval(lit, values)
+    amplitude = lanes.Array2f64(real, imaginary)
+    curved = surface.facets.count > 1
+    dr.eval(lit, position, amplitude, facets.normal if curved else ())
     index = dr.compress(lit)
-    picked = [dr.gather(lanes.Float64, value, index) for value in values]
+    # Interleaved on the device: NumPy only looks at the result.
+    picked = [
+        dr.ravel(dr.gather(type(value), value, index))
+        for value in (position, amplitude, *((facets.normal,) if curved else ()))
+    ]
     dr.eval(picked)
-    columns = [value.numpy() for value in picked]
-    position_out = np.stack(columns[:3], axis=1)
-    if surface.facets.count > 1:
-        normal = np.stack(columns[5:], axis=1)
-    else:
-        normal = np.broadcast_to(frame.axes @ surface.facets.normal[0], position_out.shape)
-    return Scatterers(position_out, columns[3] + 1j * columns[4], normal)
+    places, amplitudes, *normals = (value.numpy() for value in picked)
+    places = places.reshape(-1, 3)
+    normal = normals[0].reshape(-1, 3) if curved else np.broadcast_to(
+        frame.axes @ surface.facets.normal[0], places.shape
+    )
+    return Scatterers(places, amplitudes.view(np.complex128), normal)
 
 
 @dataclass(frozen=True)

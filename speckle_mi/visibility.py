@@ -38,7 +38,7 @@ def visible_scatterers(
         seen |= faces if assembly.target.is_flat else faces & _unshaded(assembly, frame, lit, viewpoint)
     if not assembly.elements:
         # Through elements the light's last way is another: the routes know its side.
-        seen &= (lit.position - assembly.detector.centre) @ assembly.detector.normal > 0
+        seen &= lit.position @ assembly.detector.normal > assembly.detector.centre @ assembly.detector.normal
     note = "" if np.any(seen) else "no light: the detector sees none of the lit surface at this pose, the field is zero"
     if not (free or assembly.target.is_flat or assembly.elements) and np.any(seen):
         note = _note_of_horizon(assembly, lit, seen)
@@ -70,8 +70,10 @@ def pixels_in_view(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndar
         return 1.0
     spot, normal = assembly.spot_at(frame)
     height = (grid.origin - spot) @ normal
-    above = height + (grid.rows * (grid.v @ normal))[:, None] + (grid.columns * (grid.u @ normal))[None, :] > 0
-    return 1.0 if np.all(above) else above.astype(float)
+    along_v, along_u = grid.rows * (grid.v @ normal), grid.columns * (grid.u @ normal)
+    if height + along_v.min() + along_u.min() > 0:
+        return 1.0
+    return (height + along_v[:, None] + along_u > 0).astype(float)
 
 
 def _unblocked_pixels(assembly: Assembly, grid: PlaneGrid) -> np.ndarray:
@@ -90,7 +92,10 @@ def _unblocked_pixels(assembly: Assembly, grid: PlaneGrid) -> np.ndarray:
 
 
 def _faces(scatterers: Scatterers, point: np.ndarray) -> np.ndarray:
-    return np.einsum("ij,ij->i", scatterers.normal, point - scatterers.position) > 0
+    normal, position = scatterers.normal, scatterers.position
+    if len(normal) and normal.strides[0] == 0:  # the same for all of a flat patch
+        return position @ normal[0] < point @ normal[0]
+    return np.einsum("ij,ij->i", normal, point - position) > 0
 
 
 def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers, viewpoint: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from os import cpu_count
 
 import drjit as dr
 import numpy as np
@@ -17,6 +18,7 @@ from scipy.special import jv
 
 from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import chebyshev_nodes, interpolation_matrix
+from .cores import on_all_cores
 from .device import WRITE, backend, phasor
 from .direct import SINGLE_PRECISION, supports
 from .paths import Path
@@ -234,19 +236,29 @@ def _interpolate_grid(
     double = parts.dtype == np.float64
     along_u = _regular_matrix(nodes.count[0], columns, double)
     along_v = _regular_matrix(nodes.count[1], rows, double)
-    flat = parts.reshape(nodes.count[1], -1)
+    # Along u on the few rows of nodes first: fewer products than along v first, wherever there are more rows of pixels.
+    wide = (parts.reshape(-1, nodes.count[0]) @ along_u.T).reshape(nodes.count[1], -1)
     turns = None if supports(path) else _smooth_turns(path, reference, nodes, grid, wavelength)
     step = max(1, PIXELS_AT_ONCE // columns)
     field = np.empty(grid.shape, dtype=np.complex128) if rows > step else None
     for row in range(0, rows, step):
         chunk = slice(row, min(row + step, rows))
-        smooth = (along_v[chunk] @ flat).reshape(-1, nodes.count[0]) @ along_u.T
+        smooth = _product(along_v[chunk], wide)
         given = None if turns is None else turns(chunk)
         part = _with_common_phase(smooth, given, reference, grid, row, wavelength, scale)
         if field is None:
             return part
         field[chunk] = part
     return field
+
+
+def _product(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """matrix @ other, the rows shared out to the cores."""
+    product = np.empty((len(matrix), other.shape[1]), dtype=other.dtype)
+    edges = np.linspace(0, len(matrix), (cpu_count() or 1) + 1).astype(int)
+    pieces = [slice(first, end) for first, end in zip(edges[:-1], edges[1:], strict=True)]
+    on_all_cores(lambda piece: np.matmul(matrix[piece], other, out=product[piece]), pieces)
+    return product
 
 
 def _with_common_phase(

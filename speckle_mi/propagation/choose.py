@@ -14,6 +14,7 @@ import numpy as np
 
 from ..geometry import PlaneGrid, PlanePoints
 from .bandlimited import NodeGrid, band_limited_sum, node_grid, reach_of
+from .cores import products_on_one_thread
 from .device import active_variant
 from .direct import SINGLE_PRECISION, Extent, direct_sum, supports
 from .interpolated import interpolated
@@ -21,7 +22,7 @@ from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
 from .machine import Costs, costs_of
 from .paths import Path
 from .plane import Rectangle, points_at
-from .reference import reference_sum, sample_of
+from .reference import Sample, reference_sum
 from .sources import SourceBox
 
 METHODS = ("auto", "direct", "fast")
@@ -46,6 +47,9 @@ POINTS_AT_ONCE = 1 << 20
 
 SAMPLED_PAIRS = 10_000_000
 """Pairs spent on measuring the error, as far as between 8 and 64 sampled points allow."""
+
+KERNEL_PAIRS = 100_000
+"""Pairs of that sample from which the kernel is worth its launch; fewer are summed in NumPy."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +93,19 @@ def coherent_sum(
     that lies on a point of the target.
     """
     sources, weights = _checked(sources, weights, target, wavelength, method, tolerance)
+    with products_on_one_thread():
+        return _summed(path, sources, weights, target, wavelength, method, tolerance)
+
+
+def _summed(
+    path: Path,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    target: PlaneGrid | PlanePoints,
+    wavelength: float,
+    method: str,
+    tolerance: float,
+) -> SumResult:
     lit = weights != 0
     if not lit.any():
         return SumResult(np.zeros(_shape(target), dtype=np.complex128), "dark: no source has any weight", 0.0)
@@ -173,7 +190,7 @@ class Task:
         if best > least:
             points = self.nodes.size if few_nodes else self.target.size
             parts = expand_in_parts(
-                self.path, self.sources, self.weights, self.target, self.wavelength, self.tolerance,
+                self.path, self.sources, self.weights, self.target, self.box, self.wavelength, self.tolerance,
                 largest_table=int(min(LARGEST_TABLE, (best - least) / TABLE_SECONDS)),
                 most_parts=int(np.clip((best - least) / (TYPICAL_RANK * points * costs.nufft_point), 1, MOST_PARTS)),
             )  # fmt: skip
@@ -190,7 +207,7 @@ class Task:
 
         points = self.nodes.size if few_nodes else self.target.size
         seconds = costs.nufft_point * sum(
-            part.expansion.cost_factor * ((part.expansion.rank + 2) * len(part.members) + part.expansion.rank * points)
+            part.expansion.cost_factor * ((part.expansion.rank + 2) * part.count + part.expansion.rank * points)
             for part in parts
         )
         ranks = [part.expansion.rank for part in parts]
@@ -233,20 +250,17 @@ class Task:
         with np.errstate(divide="ignore", invalid="ignore"):  # told below
             field = candidate.field()
         flat = field.reshape(-1)
-        power = flat.real**2 + flat.imag**2
-        mean_square = float(power.mean())
-        if not np.isfinite(mean_square):
+        sample = Sample.of(flat, int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64)))
+        if not np.isfinite(sample.mean_square):
             raise ValueError("a source lies on a point of the target: the field is infinite there, move one of the two")
-        count = int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64))
-        pick, share = sample_of(power, count)
-        places = points_at(self.target, pick)
-        if supports(self.path):
+        places = points_at(self.target, sample.index)
+        if supports(self.path) and places.size * len(self.sources) > KERNEL_PAIRS:
             exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, self.tolerance / 10)
         else:
             exact = self._reference(places)
         # The scale is the whole field's: a few points of a speckle pattern do not know it.
-        scale = mean_square or float(np.mean(np.abs(exact) ** 2)) or 1.0
-        error = float(np.sqrt(np.mean(np.abs(flat[pick] - exact) ** 2 / share) / scale))
+        scale = sample.mean_square or float(np.mean(np.abs(exact) ** 2)) or 1.0
+        error = float(np.sqrt(np.mean(np.abs(flat[sample.index] - exact) ** 2 / sample.share) / scale))
         return SumResult(field, f"{candidate.name} ({why})", error)
 
 
@@ -283,7 +297,8 @@ def _checked(
         raise ValueError(f"sources of shape {sources.shape}: must be (n, 3) positions in mm")
     if weights.shape != (len(sources),):
         raise ValueError(f"weights of shape {weights.shape}: must be one for each of the {len(sources)} sources")
-    if not (np.isfinite(sources).all() and np.isfinite(weights).all()):
+    # A sum is finite where all its terms are, and costs no array of their answers.
+    if not (np.isfinite(sources.sum()) and np.isfinite(weights.sum())):
         raise ValueError("sources and weights must be finite numbers")
     if target.size == 0:
         raise ValueError("target of no points: must have at least one")

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import product
-from os import cpu_count
 
 import numpy as np
 
-SOURCES_AT_ONCE = 1 << 13
+from .cores import on_all_cores
+
+SOURCES_AT_ONCE = 1 << 14
 """Sources handled by one thread at once: the arrays of a chunk stay in its cache."""
 
 FLAT = 1e-9
@@ -20,15 +20,6 @@ FLAT = 1e-9
 def chunks(count: int) -> Iterator[slice]:
     """Slices of ``SOURCES_AT_ONCE`` that cover ``count`` sources."""
     return (slice(first, min(first + SOURCES_AT_ONCE, count)) for first in range(0, count, SOURCES_AT_ONCE))
-
-
-def on_all_cores(work: Callable, items: Iterable) -> list:
-    """``work`` on every item, on all cores (NumPy and FINUFFT let go of the interpreter lock), results in order."""
-    items = list(items)
-    if len(items) == 1:
-        return [work(items[0])]
-    with ThreadPoolExecutor(cpu_count()) as pool:
-        return list(pool.map(work, items))
 
 
 def for_chunks(work: Callable[[slice], object], count: int) -> list:

@@ -1,0 +1,69 @@
+"""Work shared out to the processor's cores."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
+from functools import lru_cache
+from os import cpu_count
+
+from threadpoolctl import ThreadpoolController
+
+
+def on_all_cores(work: Callable, items: Iterable) -> list:
+    """``work`` on every item, on all cores (NumPy and FINUFFT let go of the interpreter lock), results in order.
+
+    Products of matrices inside run on one thread each.
+    """
+    items = list(items)
+    helpers = min(cpu_count() or 1, len(items)) - 1
+    if helpers < 1:
+        return [work(item) for item in items]
+    results: list = [None] * len(items)
+    waiting = deque(enumerate(items))
+
+    def take() -> None:
+        while True:
+            try:
+                number, item = waiting.popleft()
+            except IndexError:
+                return
+            try:
+                results[number] = work(item)
+            except BaseException:
+                waiting.clear()
+                raise
+
+    with products_on_one_thread():
+        futures = [_helpers().submit(take) for _ in range(helpers)]
+        try:
+            take()
+        finally:
+            # Helpers that have not begun, as all are busy elsewhere, have nothing left to do.
+            begun = [future for future in futures if not future.cancel()]
+            for future in begun:
+                future.exception()
+        for future in begun:
+            future.result()
+    return results
+
+
+def products_on_one_thread() -> AbstractContextManager:
+    """Inside, NumPy's products of matrices take one thread, whoever calls them.
+
+    Their own threads spin while they wait for one another: on cores that anything else is using, ours included, a
+    product took up to fifty times longer with two of them than with one, and here none is large enough to gain much.
+    """
+    return _libraries().limit(limits=1, user_api="blas")
+
+
+@lru_cache(maxsize=1)
+def _helpers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max(1, (cpu_count() or 1) - 1))
+
+
+@lru_cache(maxsize=1)
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
