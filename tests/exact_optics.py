@@ -199,8 +199,8 @@ MIRROR = '<bsdf type="conductor"/>'
 BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
 
 
-def bench(tmp_path, sources, detector, elements, *, pixels=(24, 16), pitch=0.05, beam=None, laser=None, **integrator) -> str:
-    """A scene of point sources (n, 3) [mm], elements and a detector, under a plane wave along -z."""
+def bench(tmp_path, sources, detector, elements, *, pixels=(24, 16), pitch=0.05, wavelength=632.8, **integrator) -> str:
+    """A scene of point sources (n, 3) [mm], elements and a detector, under a plane wave of ``wavelength`` [nm] along -z."""
     from scene_builder import WORLD, detector_xml, frame_along, integrator_xml, laser_xml, scene_of, target_xml
 
     table = tmp_path / "points.csv"
@@ -208,7 +208,7 @@ def bench(tmp_path, sources, detector, elements, *, pixels=(24, 16), pitch=0.05,
     light = frame_along(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 50.0]), np.array([1.0, 0.0, 0.0]))
     return scene_of(
         integrator_xml(**({"tolerance": 1e-6} | integrator)),
-        laser_xml(light, beam_radius=None, wavefront_radius=None),
+        laser_xml(light, beam_radius=None, wavefront_radius=None, wavelength=wavelength),
         *elements,
         target_xml(WORLD, points=str(table), roughness=None, point_sources=None),
         detector_xml(detector, width=pixels[0], height=pixels[1], pixel_pitch=pitch),

@@ -156,40 +156,6 @@ def test_series_of_a_path_has_its_phase():
     assert np.allclose(found_amplitude, amplitude, rtol=1e-5)
 
 
-def random_geometry(seed: int):
-    """Distances 2 mm to 5 m, spots 0.02 to 5 mm, wavelengths 0.3 to 10 um, tilts to 70 degrees, roughness to 50 um."""
-    random = np.random.default_rng(seed)
-
-    def between(low: float, high: float) -> float:
-        return float(10 ** random.uniform(np.log10(low), np.log10(high)))
-
-    distance, radius, wavelength = between(2, 5000), between(0.02, 5), between(3e-4, 1e-2)
-    sources, weights = spot(int(between(1, 3000)) + 1, radius, random.integers(2) * random.uniform(0, 0.05), seed)
-    theta, tilt = np.radians(random.uniform(0, 70, 2))
-    phi, psi, roll = random.uniform(0, 2 * np.pi, 3)
-    out = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
-    first = np.cross(out, [0.3, 0.9, 0.1])
-    first /= np.linalg.norm(first)
-    normal = -np.cos(tilt) * out + np.sin(tilt) * (np.cos(psi) * first + np.sin(psi) * np.cross(out, first))
-    u = np.cross(normal, [0.2, 0.1, 0.97])
-    u /= np.linalg.norm(u)
-    v = np.cross(normal, u)
-    u, v = np.cos(roll) * u + np.sin(roll) * v, np.cos(roll) * v - np.sin(roll) * u
-    shape = tuple(int(n) for n in random.integers(1, 200, 2))
-    pitch = min(between(1e-3, 3e-2), 0.7 * distance / max(shape))
-    origin = distance * out - pitch * ((shape[1] - 1) / 2 * u + (shape[0] - 1) / 2 * v)
-    path = RayleighSommerfeld(np.array([0.0, 0, 1]), wavelength) if random.random() < 0.3 else FreeSpace()
-    return path, sources, weights, PlaneGrid(origin, u, v, pitch, shape), wavelength, between(1e-7, 1e-1)
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_tolerance_is_kept_in_random_geometries(seed):
-    path, sources, weights, grid, wavelength, tolerance = random_geometry(seed)
-    for method in ("auto", "fast"):
-        result = coherent_sum(path, sources, weights, grid, wavelength, method, tolerance)
-        assert error_at_random_points(path, sources, weights, grid, result.field, wavelength) <= tolerance, result.plan
-
-
 def test_scattered_points_of_an_opening_are_a_target_too():
     sources, weights = spot(2000, 0.12, 1e-3)
     r, angle = np.meshgrid(np.linspace(0.01, 0.5, 60), np.linspace(0, 2 * np.pi, 100, endpoint=False))

@@ -35,7 +35,7 @@ class Costs:
     def interpolation(self, nodes: tuple[int, int], shape: tuple[int, int]) -> float:
         """From (along u, along v) nodes to (rows, columns) pixels."""
         rows, columns = shape
-        products = 2 * rows * nodes[0] * (nodes[1] + columns)
+        products = 2 * columns * nodes[1] * (nodes[0] + rows)
         return products * self.multiply_add + rows * columns * self.pixel
 
 
