@@ -91,6 +91,16 @@ class Assembly:
         """Where the target's mesh stands in the Mitsuba scene."""
         return self.target.frame.moved(self.pose)
 
+    @cached_property
+    def obstacles(self) -> mi.Scene:
+        """The shapes that may stand in the light's way: all of the scene, without a target that is only scatterers.
+
+        The user's own scatterers replace the target's surface: its mesh still stands in the scene, but is not there.
+        """
+        if self.target.points is None:
+            return self.scene
+        return mi.load_dict({"type": "scene"} | {f"element{k}": one.shape for k, one in enumerate(self.elements)})
+
     def spot_at(self, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
         """Middle of what scatters with the target at ``frame``: point (3,) [mm] and normal (3,).
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from . import theory
 from .assembly import Assembly
+from .channel import Channel, detector_plane
 from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
 from .optics.aim import aim
 from .optics.surfaces import Circle, Interaction, Sequence, Surface
 from .optics.trace import trace
-from .plan import Channel, detector_plane
 from .simulate import plan_of
 
 PATTERN_AXES = ("u", "v", "x", "y")

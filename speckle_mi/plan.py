@@ -6,11 +6,12 @@ a scene does not need is left out; the plan says so, in words that are printed a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from .assembly import Assembly
+from .channel import Channel, Rim, detector_plane, rims_of
 from .geometry import Frame, PlaneGrid
 from .optics.aim import aim
 from .optics.surfaces import Circle, Interaction, Rectangle, Sequence, Surface
@@ -18,9 +19,13 @@ from .optics.trace import RayStatus, trace
 from .optics.unfold import unfold
 from .parameters import SceneError
 from .routes import Route, find_routes, points_on
+from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 
 CLEAR_OF_EDGE = 25.0
 """Fresnel parameter v of the nearest edge from which on it is not diffracted at: a straight edge's wave is then below 1 %."""
+
+_CLEARANCES = (1.5, 3.0, 6.0, 12.0, CLEAR_OF_EDGE)
+"""Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
 
 NEAR_CAUSTIC = 1e-3
 """Cross section of a ray tube, relative to free space, below which geometric optics does not apply."""
@@ -33,56 +38,6 @@ _DETECTOR_SAMPLES = 9
 _INSIDE_RIM = 1 - 1e-6
 _LIMITING_SHARE = 0.01
 """Share of an opening's rim that must be the edge of the light for the opening to count as limiting it."""
-
-
-@dataclass(frozen=True)
-class Rim:
-    """An outline that light goes through, as a plane: where it stands in the order of interactions.
-
-    name: element; plane: the plane of the rim with its outline; number: of the interaction whose outline it is;
-    position: number of interactions before the plane; index: of the medium there; is_screen: whether it is an aperture
-    or a mirror's edge rather than a lens's.
-    """
-
-    name: str
-    plane: Surface
-    number: int
-    position: int
-    index: float
-    is_screen: bool
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One route with everything that its field is computed from.
-
-    interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
-    diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
-    lines: the plan in words.
-    """
-
-    route: Route
-    interactions: tuple[Interaction, ...]
-    grid: PlaneGrid
-    openings: tuple[Rim, ...]
-    rims: tuple[Rim, ...]
-    lines: tuple[str, ...]
-
-    @property
-    def has_power(self) -> bool:
-        """Whether anything on the way refracts or reflects light, plane mirrors apart."""
-        return any(interaction.action != "pass" for interaction in self.interactions)
-
-    @property
-    def viewpoint(self) -> np.ndarray:
-        """(3,) where the light from the target goes first: the vertex of a surface, or the detector's centre [mm]."""
-        return self.interactions[0].surface.frame.origin if self.interactions else self.grid.centre
-
-    def leg(self, number: int) -> tuple[Interaction, ...]:
-        """The refracting and reflecting interactions between point set ``number`` and the next."""
-        first = self.openings[number - 1].position if number > 0 else 0
-        last = self.openings[number].position if number < len(self.openings) else len(self.interactions)
-        return tuple(i for i in self.interactions[first:last] if i.action != "pass")
 
 
 @dataclass(frozen=True)
@@ -125,7 +80,7 @@ def _main_blocker(stopped) -> str:
 
 def _channel(assembly: Assembly, frame: Frame, route: Route) -> Channel:
     interactions, grid = unfold(route.interactions, assembly.detector)
-    rims = _rims(assembly.spot_at(frame)[0], route.names, interactions)
+    rims = rims_of(assembly.spot_at(frame)[0], route.names, interactions)
     bare = Channel(route, interactions, grid, (), rims, ())
     openings, reason = _openings(assembly, frame, bare)
     lines = [f"way: {route.label}", *_mirror_line(route)]
@@ -133,42 +88,45 @@ def _channel(assembly: Assembly, frame: Frame, route: Route) -> Channel:
     if traced:
         lines.append(f"traced: path length and amplitude through {', '.join(dict.fromkeys(traced))}")
     lines.append(reason)
-    return Channel(route, interactions, grid, openings, rims, tuple(lines))
+    channel = replace(bare, openings=openings, lines=tuple(lines))
+    if openings:
+        channel = replace(channel, hidden=hidden_pixels(assembly, channel))
+    if assembly.options.diffraction and assembly.options.method != "rays":
+        lines += _edges_beside(assembly, channel, _spot_samples(assembly, frame))
+    return replace(channel, lines=tuple(lines))
+
+
+def _edges_beside(assembly: Assembly, channel: Channel, spots: np.ndarray) -> list[str]:
+    """A line on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
+
+    Raises SceneError where such a shape cuts the light.
+    """
+    wave = 1.0
+    if channel.openings:
+        names = shapes_before(assembly, channel, spots)
+    else:
+        names = shapes_beside_way(assembly, channel, spots)
+        lit = np.array([lit_pixels(assembly, channel, spot, channel.grid, rims=False) for spot in spots if names])
+        if names and not np.any(lit):
+            return []  # hidden altogether: stays dark
+        if np.all(lit):
+            v, names = clearance_of_shapes(assembly, channel, spots, _CLEARANCES)
+            wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 1.0
+    if not names:
+        return []
+    named = " or ".join(map(repr, dict.fromkeys(names)))
+    if wave == 1.0:
+        raise SceneError(
+            f"way {channel.route.label}: {named} cuts a part of its light, and the diffraction at that edge is not "
+            "computed: put an aperture with the free part as its hole in its place, move it out of the light, or set "
+            "diffraction to false for its geometric shadow"
+        )
+    return [f"left out: the wave of the edge of {named}, which stands beside the light (at most {wave:.1%} of the field)"]
 
 
 def _mirror_line(route: Route) -> list[str]:
     mirrors = [name for name, i in zip(route.names, route.interactions) if i.action == "reflect" and i.surface.is_plane]
     return [f"unfolded: plane mirror {', '.join(mirrors)}"] if mirrors else []
-
-
-def _rims(spot: np.ndarray, names: tuple[str, ...], interactions: tuple[Interaction, ...]) -> tuple[Rim, ...]:
-    vertices = [spot, *(i.surface.frame.origin for i in interactions)]
-    return tuple(
-        _rim(name, number, interaction, interaction.surface.frame.origin - vertices[number])
-        for number, (name, interaction) in enumerate(zip(names, interactions, strict=True))
-        if interaction.surface.outline is not None
-    )
-
-
-def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -> Rim:
-    """The plane of an interaction's outline; ``travel`` (3,) is the direction in which light comes to it.
-
-    The rim of a curved surface lies off its vertex by the sag there. Where the surface bulges against the light,
-    rays meet first the surface and then the plane of its rim.
-    """
-    surface, outline = interaction.surface, interaction.surface.outline
-    if interaction.action == "pass" or surface.is_plane:
-        return Rim(name, surface, number, number, interaction.index_before, interaction.action == "pass")
-    radius = outline.radius if isinstance(outline, Circle) else float(np.hypot(outline.half_x, outline.half_y))
-    c, k = surface.curvature, surface.conic
-    sag = c * radius**2 / (1 + np.sqrt(max(1 - (1 + k) * c * c * radius**2, 0.0)))
-    bulges = sag * float(travel @ surface.frame.axes[:, 2]) > 0
-    if bulges and interaction.action == "reflect":
-        sag = 0.0  # light never comes to the plane of a convex mirror's rim: take the one through its vertex
-    plane = Surface(Frame(surface.frame.origin + sag * surface.frame.axes[:, 2], surface.frame.axes), outline=outline)
-    if bulges and interaction.action == "refract":
-        return Rim(name, plane, number, number + 1, interaction.index_after, False)
-    return Rim(name, plane, number, number, interaction.index_before, False)
 
 
 # Which openings limit the light
@@ -177,7 +135,7 @@ def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -
 def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple[Rim, ...], str]:
     """The openings to diffract at, and the reason in words."""
     if not channel.rims:
-        return (), _without_rims(assembly, frame, channel)
+        return (), _withoutrims_of(assembly, frame, channel)
     geometric, why_not = _geometric_view(assembly, frame, channel)
     if not assembly.options.diffraction:
         if geometric is None:
@@ -214,7 +172,7 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
     return tuple(chosen), f"diffracted at {names}{note}"
 
 
-def _without_rims(assembly: Assembly, frame: Frame, channel: Channel) -> str:
+def _withoutrims_of(assembly: Assembly, frame: Frame, channel: Channel) -> str:
     if not channel.interactions:
         return "free space: the light meets nothing on this way"
     geometric, why_not = _geometric_view(assembly, frame, channel)
@@ -240,11 +198,6 @@ def _detector_samples(grid: PlaneGrid) -> np.ndarray:
     a, b = (values.ravel() for values in np.meshgrid(side, side))
     half = 0.5 * grid.pitch
     return grid.centre + (half * grid.shape[1] * a)[:, None] * grid.u + (half * grid.shape[0] * b)[:, None] * grid.v
-
-
-def detector_plane(grid: PlaneGrid) -> Interaction:
-    """The detector's plane as the end of a sequence."""
-    return Interaction.through(Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1))))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from .parameters import value_of
 MAX_INTERACTIONS = 32
 """Rays that have not arrived after this many surfaces are given up."""
 
-_TARGET, _NOTHING, _GONE = -1, -2, -3
+TARGET, NOTHING, _GONE = -1, -2, -3
 """What a ray meets next besides an element: the target, nothing, or that it is no more."""
 
 _FAR = 1e30
@@ -186,8 +186,11 @@ class _Rays:
 
 
 def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
-    """Directions (n, 3): towards the detector, towards every element, and evenly over the target's hemisphere."""
-    (spot, _), grid = assembly.spot_at(frame), assembly.detector
+    """Directions (n, 3): towards the detector, towards every element, and evenly over the hemisphere of the target.
+
+    The user's own scatterers radiate to all sides.
+    """
+    (spot, normal), grid = assembly.spot_at(frame), assembly.detector
     half_u, half_v = 0.5 * grid.pitch * grid.shape[1], 0.5 * grid.pitch * grid.shape[0]
     side = (np.arange(_DETECTOR_RAYS) + 0.5) / _DETECTOR_RAYS * 2 - 1
     a, b = (values.ravel() for values in np.meshgrid(side, side))
@@ -197,20 +200,21 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
         corners = np.array([element.shape.bbox().min, element.shape.bbox().max], dtype=np.float64)
         targets.append(0.5 * (corners[:1] + corners[1:]))
     towards = np.concatenate(targets) - spot
-    normal = frame.axes[:, 2]
-    number = np.arange(_HEMISPHERE_RAYS) + 0.5
+    all_around = assembly.target.points is not None
+    count = (2 if all_around else 1) * _HEMISPHERE_RAYS
+    number = np.arange(count) + 0.5
     # Fibonacci lattice: even over the sphere.
-    height = number / _HEMISPHERE_RAYS
+    height = 1 - number / _HEMISPHERE_RAYS
     azimuth = np.pi * (1 + 5**0.5) * number
     ring = np.sqrt(1 - height**2)
-    hemisphere = (
-        (ring * np.cos(azimuth))[:, None] * frame.axes[:, 0] + (ring * np.sin(azimuth))[:, None] * frame.axes[:, 1]
-        + height[:, None] * normal
-    )
-    directions = np.concatenate([towards, hemisphere])
+    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
+    first /= np.linalg.norm(first)
+    second = np.cross(normal, first)
+    around = (ring * np.cos(azimuth))[:, None] * first + (ring * np.sin(azimuth))[:, None] * second + height[:, None] * normal
+    directions = np.concatenate([towards, around])
     length = np.linalg.norm(directions, axis=1)
     directions = directions[length > 0] / length[length > 0, None]
-    return directions[directions @ normal > 1e-6]
+    return directions if all_around else directions[directions @ normal > 1e-6]
 
 
 def points_on(face) -> np.ndarray:
@@ -247,7 +251,7 @@ def _advance(assembly: Assembly, rays: _Rays) -> None:
     rays.end(index[at_detector & inside], rays.arrived)
     rays.end(index[at_detector & ~inside & np.isfinite(detector)], rays.passed_by)
     rays.stop(index[at_detector & np.isinf(detector)], "nothing")
-    rays.stop(index[~at_detector & (number == _TARGET)], "target")
+    rays.stop(index[~at_detector & (number == TARGET)], "target")
     for place, element in enumerate(elements):
         chosen = ~at_detector & (number == place)
         if np.any(chosen):
@@ -279,17 +283,16 @@ def _pass_openings(elements: tuple[Element, ...], rays: _Rays, index: np.ndarray
 
 
 def _next_shapes(assembly: Assembly, rays: _Rays, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Number of the element each ray meets next, or _TARGET or _NOTHING, and its distance [mm]."""
-    scene = assembly.scene
+    """Number of the element each ray meets next, or TARGET or NOTHING, and its distance [mm]."""
     single = [np.ascontiguousarray(rays.origin[index].T, np.float32), np.ascontiguousarray(rays.direction[index].T, np.float32)]
     ray = mi.Ray3f(mi.Point3f(*map(mi.Float, single[0])), mi.Vector3f(*map(mi.Float, single[1])))
-    hit = scene.ray_intersect_preliminary(ray)
+    hit = assembly.obstacles.ray_intersect_preliminary(ray)
     distance = np.array(hit.t, dtype=np.float64)
-    number = np.full(len(index), _NOTHING)
+    number = np.full(len(index), NOTHING)
     for place, element in enumerate(assembly.elements):
         number[np.array(hit.shape == mi.ShapePtr(element.shape))] = place
-    number[np.array(hit.shape == mi.ShapePtr(assembly.target.shape))] = _TARGET
-    distance[number == _NOTHING] = np.inf
+    number[np.array(hit.shape == mi.ShapePtr(assembly.target.shape))] = TARGET
+    distance[number == NOTHING] = np.inf
     return number, distance
 
 

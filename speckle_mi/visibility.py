@@ -6,8 +6,9 @@ import mitsuba as mi
 import numpy as np
 
 from .assembly import Assembly
+from .elements import Element
 from .geometry import Frame, PlaneGrid
-from .routes import screen_crossing
+from .routes import TARGET, screen_crossing
 from .surface import Scatterers
 
 _NOTICEABLE = 1e-3
@@ -59,13 +60,7 @@ def _note_of_horizon(assembly: Assembly, lit: Scatterers, seen: np.ndarray) -> s
 
 
 def pixels_in_view(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndarray | float:
-    """1 where the straight way from the spot's middle to a pixel is free, (rows, columns), or 1.0 where all are.
-
-    A flat target itself hides what lies behind its plane; elements hide what lies behind them. A way through the hole
-    of a screen is not counted either: it is a way of its own.
-    """
-    if assembly.elements:
-        return _unblocked_pixels(assembly, grid)
+    """1 where a flat target itself does not hide its spot from a pixel, (rows, columns), or 1.0 where it hides none."""
     if not assembly.target.is_flat or assembly.target.points is not None:
         return 1.0
     spot, normal = assembly.spot_at(frame)
@@ -76,19 +71,77 @@ def pixels_in_view(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndar
     return (height + along_v[:, None] + along_u > 0).astype(float)
 
 
-def _unblocked_pixels(assembly: Assembly, grid: PlaneGrid) -> np.ndarray:
-    """1 where the straight way from the spot's middle to a pixel is free of every shape of the scene, else 0."""
-    spot, normal = assembly.spot_at(assembly.scene_frame)
-    start = spot + _off_surface(spot) * normal
-    to_pixel = grid.points() - start
-    distance = np.linalg.norm(to_pixel, axis=1)
-    start, direction = np.broadcast_to(start, to_pixel.shape), to_pixel / distance[:, None]
-    free = _free(assembly.scene, start, direction, distance)
-    for element in assembly.elements:
-        if element.kind == "opening":
+# Shapes that stand in a way of the light
+
+
+def shapes_beside(assembly: Assembly, touched: tuple[int, ...], points: np.ndarray, clear: float = 0.0) -> list[str]:
+    """Names of the shapes that a way does not go over, but that may stand in it.
+
+    points: (p, n, 3) of its rays, start, surfaces and end; touched: number of the element at each of the p places, or
+    ``TARGET``, ``NOTHING``; clear: distance [mm] around the rays that is looked at, too. Judged by bounding boxes: a shape
+    named here may still leave all rays free.
+    """
+    segments = zip(touched, touched[1:], points, points[1:], strict=False)
+    return [name for one, two, start, end in segments for name, *_ in _beside(assembly, one, two, start, end, clear)]
+
+
+def unblocked(assembly: Assembly, touched: tuple[int, ...], points: np.ndarray, clear: float = 0.0) -> np.ndarray:
+    """Whether each of n rays is free of all shapes that the way does not go over, (n,); see :func:`shapes_beside`.
+
+    A segment through the hole of a screen that is not on the way is not free either: that is a way of its own.
+    clear: distance [mm] aside of the rays at which parallel ones are looked at instead, in eight directions.
+    """
+    free = np.ones(points.shape[1], dtype=bool)
+    for one, two, start, end in zip(touched, touched[1:], points, points[1:], strict=False):
+        for aside in _across((end - start).mean(axis=0), clear):
+            free &= _segment_free(assembly, one, two, start + aside, end + aside)
+    return free
+
+
+def _across(heading: np.ndarray, distance: float) -> np.ndarray:
+    """Displacements (8, 3) across a heading (3,) [mm], or none, (1, 3), for the distance 0."""
+    if distance == 0:
+        return np.zeros((1, 3))
+    first = np.cross(heading, np.eye(3)[np.argmin(np.abs(heading))])
+    second = np.cross(heading, first)
+    angle = np.pi / 4 * np.arange(8)
+    circle = np.outer(np.cos(angle), first / np.linalg.norm(first)) + np.outer(np.sin(angle), second / np.linalg.norm(second))
+    return distance * circle
+
+
+def _segment_free(assembly: Assembly, one: int, two: int, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Whether segments from start to end (n, 3), at the elements ``one`` and ``two``, are free of all others, (n,)."""
+    standing = _beside(assembly, one, two, start, end)
+    if not standing:
+        return np.ones(len(start), dtype=bool)
+    towards = end - start
+    distance = np.linalg.norm(towards, axis=1)
+    direction = towards / np.maximum(distance, 1e-300)[:, None]
+    # Where two surfaces touch there is no way between them that anything could stand in.
+    reach = np.maximum(distance - _off_surface(end), 0)
+    free = _free(_scene_of(*(shape for _, shape, _ in standing)), start, direction, reach) | (reach <= 0)
+    for _, _, element in standing:
+        if element is not None and element.kind == "opening":
             crossing, in_hole, on_screen = screen_crossing(element, start, direction)
-            free &= ~((in_hole | on_screen) & (crossing < distance))
-    return free.reshape(grid.shape).astype(float)
+            free &= ~((in_hole | on_screen) & (crossing < reach))
+    return free
+
+
+def _beside(
+    assembly: Assembly, one: int, two: int, start: np.ndarray, end: np.ndarray, clear: float = 0.0
+) -> list[tuple[str, mi.Shape, Element | None]]:
+    """Name, shape and element of what is in the box around segments from start to end (n, 3) and touches neither end."""
+    low, high = (f(np.minimum(start, end) if f is np.min else np.maximum(start, end), axis=0) for f in (np.min, np.max))
+    shapes = [(element.name, element.shape, element) for number, element in enumerate(assembly.elements) if number not in (one, two)]
+    if assembly.target.points is None and TARGET not in (one, two):
+        shapes.append(("target", assembly.target.shape, None))
+    found = []
+    for item in shapes:
+        box = item[1].bbox()
+        slack = clear + _off_surface(np.array([box.min, box.max]))
+        if np.all(np.array(box.min) - slack <= high) and np.all(np.array(box.max) + slack >= low):
+            found.append(item)
+    return found
 
 
 def _faces(scatterers: Scatterers, point: np.ndarray) -> np.ndarray:
@@ -118,16 +171,19 @@ def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers, viewpoint: np.n
     return _free(scene, start, to_laser, reach) & _free(scene, start, to_detector / distance[:, None], distance)
 
 
-_target_scenes: dict[int, tuple[mi.Shape, mi.Scene]] = {}
+_scenes: dict[tuple[int, ...], tuple[tuple[mi.Shape, ...], mi.Scene]] = {}
+_SCENES_KEPT = 16
 
 
-def _scene_of(shape: mi.Shape) -> mi.Scene:
-    """A scene with nothing but the target in it."""
-    held = _target_scenes.get(id(shape))
-    if held is None or held[0] is not shape:
-        _target_scenes.clear()
-        _target_scenes[id(shape)] = held = (shape, mi.load_dict({"type": "scene", "target": shape}))
-    return held[1]
+def _scene_of(*shapes: mi.Shape) -> mi.Scene:
+    """A scene with nothing but the given shapes in it."""
+    key = tuple(id(shape) for shape in shapes)
+    if key not in _scenes:
+        while len(_scenes) >= _SCENES_KEPT:
+            _scenes.pop(next(iter(_scenes)))
+        # The shapes are kept with their scene, so that no other object takes their place in memory and in the key.
+        _scenes[key] = shapes, mi.load_dict({"type": "scene"} | {f"shape{k}": shape for k, shape in enumerate(shapes)})
+    return _scenes[key][1]
 
 
 def _free(scene: mi.Scene, start: np.ndarray, direction: np.ndarray, reach: np.ndarray) -> np.ndarray:
