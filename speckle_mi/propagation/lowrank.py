@@ -38,8 +38,8 @@ LARGEST_TABLE = 1_500_000
 SMALLEST_PART = 64
 """Sources that are not shared out further: their pairs cost less than NUFFTs."""
 
-RANK_SHARE = 0.5
-"""Share of the tolerance that the terms left out may take."""
+RANK_SHARE = 0.35
+"""Share of the tolerance that the terms left out may take: a realisation's error scatters about the mean, which it is."""
 
 LARGEST_RANK = 80
 """Rank beyond which the expansion is given up."""
