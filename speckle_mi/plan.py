@@ -140,8 +140,8 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
     if not assembly.options.diffraction:
         if geometric is None:
             raise SceneError(
-                f"way {channel.route.label}: {why_not}, where the geometric field that diffraction=false asks for "
-                "does not exist: set diffraction to true, or move the detector"
+                f"way {channel.route.label}: {why_not}, so that the geometric field which diffraction=false asks for does "
+                "not exist all over it: set diffraction to true with an aperture in this way, block the way, or move the detector"
             )
         return (), "openings cast geometric shadows, as diffraction=false asks for"
     if geometric is not None:
@@ -216,10 +216,12 @@ def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple
     sources, targets = np.repeat(spots, len(pixels), axis=0), np.tile(pixels, (len(spots), 1))
     aimed = aim(sequence, sources, targets)
     lost = aimed.status[~aimed.converged]
-    if len(lost) and np.all(lost != RayStatus.NOT_CONVERGED):
-        return None, "a part of the detector is reached by no ray"
-    if len(lost) or np.min(np.abs(aimed.spread)) < NEAR_CAUSTIC or np.ptp(aimed.caustics) > 0:
+    found = aimed.converged
+    focused = np.any(found) and (np.min(aimed.spread[found]) < NEAR_CAUSTIC or np.ptp(aimed.caustics[found]) > 0)
+    if focused or (len(lost) and not np.any(found)):
         return None, "a focus or caustic lies at the detector"
+    if len(lost):
+        return None, "rays reach only a part of the detector (the way ends at a surface's edge or at total reflection)"
     if channel.has_power and _several_rays(channel, spots[0]):
         return None, "several rays reach the same pixel, inside a caustic,"
     traced = trace(sequence, sources, aimed.launch)

@@ -256,24 +256,22 @@ def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
 
 def lit_nodes(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Whether points (n, 3) of the first opening are lit from one source (3,) over all rims not diffracted at."""
-    return np.all(_clearance_over(channel, rim, source, points) >= 0, axis=0)
+    return np.all(_clearance_over(channel, rim, np.broadcast_to(source, points.shape), points) >= 0, axis=0)
 
 
 def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
     """Whether a rim that light is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
-    samples = opening_samples(rim.plane)
-    return not all(
-        np.all(_clearance_over(channel, rim, source, samples) > _SAFE_MARGIN) for source in extremes(sources, axes)
-    )
+    outermost, samples = extremes(sources, axes), opening_samples(rim.plane)
+    starts, over = np.repeat(outermost, len(samples), axis=0), np.tile(samples, (len(outermost), 1))
+    return not np.all(_clearance_over(channel, rim, starts, over) > _SAFE_MARGIN)
 
 
 def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Clearances (r, n) of the rims not diffracted at on rays from one source (3,) over points (n, 3) of an opening."""
+    """Clearances (r, n) of the rims not diffracted at on rays from sources over points of an opening, (n, 3) each."""
     chosen = {opening.number for opening in channel.openings}
     rows = [row for row, (number, _) in enumerate(Sequence(channel.interactions).rims) if number not in chosen]
     if not rows:
         return np.empty((0, len(points)))
-    source = np.broadcast_to(source, points.shape)
     before = aim(Sequence((*channel.leg(0), Interaction.through(Surface(rim.plane.frame), rim.index))), source, points)
     clearance = np.full((len(rows), len(points)), -1.0)
     reached = np.flatnonzero(before.converged)
