@@ -308,7 +308,8 @@ def _distance_to_detector(assembly: Assembly, origin: np.ndarray, direction: np.
         )
     # Outside the area the plane is thin air, where a ray ends only if it meets nothing else: the caller compares.
     reached = (slope < 0) & (distance > 0)
-    return np.where(reached & inside, distance, np.where(reached, _FAR, np.inf)), inside
+    inside &= reached
+    return np.where(inside, distance, np.where(reached, _FAR, np.inf)), inside
 
 
 def screen_crossing(
