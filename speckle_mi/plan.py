@@ -169,6 +169,8 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
     names = ", ".join(rim.name for rim in chosen)
     clipping = [rim.name for rim in limiting if rim not in chosen]
     note = f" (shadows of {', '.join(dict.fromkeys(clipping))} fall on it)" if clipping else ""
+    if assembly.options.method == "rays":
+        return tuple(chosen), f"limited by {names}: rays are not diffracted, openings cast geometric shadows"
     return tuple(chosen), f"diffracted at {names}{note}"
 
 

@@ -97,7 +97,8 @@ def find_routes(assembly: Assembly) -> Arrivals:
         if route.steps not in known and _can_be_aimed(assembly, start, clearance, route):
             sure.append(route)
             known.add(route.steps)
-    beside = tuple(route for route in passed_by if route.rays > _STRAY_SHARE * passed_by[0].rays)
+    # Of the ways beside the detector the straight one is of no use: nothing on it could diffract its light.
+    beside = tuple(route for route in passed_by if route.steps and route.rays > _STRAY_SHARE * passed_by[0].rays)
     return Arrivals(tuple(sure) or beside, bool(sure), rays.stopped)
 
 

@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from speckle_mi.optics.surfaces import Sequence, dot
-from speckle_mi.optics.trace import Log, RayStatus, march, paired_rows
+from speckle_mi.optics.trace import Log, RayStatus, march, paired_rows, zeros_between
 
 TARGET_TOLERANCE = 1e-8
 """Distance [mm] from ray to target that counts as hit. The path length is corrected for it to first order, so what is
@@ -351,19 +351,6 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
             margins=log.stacked_margins() + lost,
             status=status,
         )
-
-
-def zeros_between(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, length: np.ndarray) -> np.ndarray:
-    """Zeros of a0 + a1 t + a2 t^2 in 0 < t < length, (n,) int.
-
-    The tube's wavefront has two real principal curvatures (Malus and Dupin), so the zeros are real: counted by signs,
-    which still finds the double zero of a point focus when rounding makes its discriminant negative.
-    """
-    end = a0 + length * (a1 + length * a2)
-    turn = -0.5 * a1 / a2
-    one = a0 * end < 0.0
-    two = (a0 * end > 0.0) & (a0 * a2 > 0.0) & (turn > 0.0) & (turn < length)
-    return np.where(one, 1, np.where(two, 2, 0))
 
 
 def _launch_state(source: np.ndarray, direction: np.ndarray, e1: np.ndarray, e2: np.ndarray) -> np.ndarray:

@@ -257,3 +257,16 @@ def paired_rows(one: np.ndarray, two: np.ndarray, name_one: str, name_two: str) 
     if one.ndim != 2 or one.shape[1] != 3 or one.shape != two.shape:
         raise ValueError(f"{name_one} {one.shape} and {name_two} {two.shape}: must both be (n, 3), one row a ray")
     return one, two
+
+
+def zeros_between(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """Zeros of a0 + a1 t + a2 t^2 in 0 < t < length, (n,) int.
+
+    The tube's wavefront has two real principal curvatures (Malus and Dupin), so the zeros are real: counted by signs,
+    which still finds the double zero of a point focus when rounding makes its discriminant negative.
+    """
+    end = a0 + length * (a1 + length * a2)
+    turn = -0.5 * a1 / a2
+    one = a0 * end < 0.0
+    two = (a0 * end > 0.0) & (a0 * a2 > 0.0) & (turn > 0.0) & (turn < length)
+    return np.where(one, 1, np.where(two, 2, 0))
