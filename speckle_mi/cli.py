@@ -17,7 +17,7 @@ DONE, BAD_INPUT = 0, 2
 def command(main: Callable[[Sequence[str] | None], int | None], arguments: Sequence[str] | None = None) -> int:
     """Runs a command's ``main`` and returns its exit status.
 
-    Bad input (ValueError, OSError, and Mitsuba's RuntimeError) becomes one line on stderr and status 2; with ``--debug``
+    Bad input (ValueError, OSError, Mitsuba's RuntimeError) becomes one line on stderr and status 2; with ``--debug``
     the traceback is shown as well. An interrupt ends the process with status 130.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)

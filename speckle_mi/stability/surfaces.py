@@ -21,6 +21,12 @@ def roughness(quick: bool):
     for rms in (0.0, 0.01, 1000.0) if quick else (0.0, 0.01, 0.1, 1.0, 30.0, 1000.0):
         bench = Bench(target={"roughness": rms})
         yield same_field("roughness", f"field of a surface of {rms:g} um", *against_exact_sum(bench), TOLERANCE)
+        if rms > 0:
+            heights = _UPRIGHT.with_(target={"roughness": rms, "point_sources": 2000}).frame().scatterers.position[:, 2]
+            # Four standard errors of a standard deviation.
+            bound = 4 / np.sqrt(2 * len(heights))
+            name = f"rms height of a surface of {rms:g} um [um]"
+            yield compared("roughness", name, heights.std() * 1e3, rms, bound, relative=True)
 
 
 def correlation_length(quick: bool):
