@@ -7,6 +7,7 @@ import os
 import re
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 
 from . import interrupt
@@ -23,7 +24,10 @@ def command(main: Callable[[Sequence[str] | None], int | None], arguments: Seque
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     began = interrupt.listen()
     try:
-        status = main(arguments) or DONE
+        with warnings.catch_warnings():
+            if "--debug" not in arguments:
+                warnings.simplefilter("ignore")  # libraries warn of what their callers handle; users cannot act on it
+            status = main(arguments) or DONE
         sys.stdout.flush()
         return status
     except BrokenPipeError:
@@ -116,6 +120,10 @@ def one_line(error: BaseException) -> str:
         return type(error).__name__
     if "Traceback" not in text and len(lines) == 1:
         return lines[0]
-    place = re.search(r"(At [^:]*?\(line \d+, col \d+\)|While loading \S+ \(near line \d+, col \d+\))", text)
+    place = re.search(r"(At [^:]*?\(line \d+, col \d+\)|While loading .+? \((?:near )?line \d+, col \d+\))", text)
+    unknown = re.search(r'Found \d+ unreferenced \w+ in (\w+) plugin of type "(\w+)":\s+- (\w+) "([^"]*)"', text)
+    if unknown:
+        role, plugin, kind, name = unknown.groups()
+        lines.append(f"{role} {plugin!r} has no parameter {name!r} of type {kind}, must be one that its documentation names")
     reason = re.sub(r"^(\w+\.)*\w*Error: ", "", lines[-1])
     return f"{place.group(1)}: {reason}" if place else reason

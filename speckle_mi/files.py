@@ -55,12 +55,16 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     try:
         with interrupt.begins_file:
             interrupt.fragments.add(str(temporary))
-            try:
-                os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
-            except OSError as error:
-                raise OSError(error.errno, error.strerror, str(path)) from None
+            os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         yield temporary
         os.replace(temporary, path)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    except RuntimeError as error:  # of OpenEXR
+        reason = str(error).replace(str(temporary), str(path))
+        raise OSError(f"{path}: cannot be written ({reason})") from error
     finally:
         temporary.unlink(missing_ok=True)
         interrupt.fragments.discard(str(temporary))
