@@ -66,11 +66,13 @@ from speckle_mi.parameters import SceneError, check_number, describe, read_numbe
 from speckle_mi.placement import Placement
 
 _LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
+_CONIC = {"at_least": -1e4, "at_most": 1e4}
+"""Beyond, a surface is a cone that turns round within a point."""
 _LIMITS = {
     "radius1": {"unit": "mm"},
     "radius2": {"unit": "mm"},
-    "conic1": {},
-    "conic2": {},
+    "conic1": _CONIC,
+    "conic2": _CONIC,
     "thickness": _LENGTH,
     "diameter": _LENGTH,
     "ior": {"at_least": 1.0, "at_most": 10.0},

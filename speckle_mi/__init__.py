@@ -9,9 +9,16 @@ Importing this package makes its plugins known to Mitsuba (``laser``, ``rough_ta
 """
 
 import os as _os
+import sys as _sys
 from pathlib import Path as _Path
 
-from . import llvm as _llvm
+from . import interrupt as _interrupt
+
+# A library leaves signals alone; a command answers them from its first moment on, before its heavy imports.
+if _interrupt.is_command(_sys.argv, _sys.orig_argv):
+    _interrupt.listen()
+
+from . import llvm as _llvm  # noqa: E402
 
 __version__ = "0.1.0"
 

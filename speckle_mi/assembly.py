@@ -10,6 +10,7 @@ import hashlib
 import json
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import combinations
 
 import mitsuba as mi
 import numpy as np
@@ -175,6 +176,7 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
     _require_memory(detector)
     elements = tuple(elements_of(scene, target))
     beam, target = _aim(laser.beam(), target)
+    _require_apart(elements)
     _require_in_air(elements, f"{detector.where}: the detector's centre", detector.grid().centre)
     _require_in_air(elements, f"{target.shape.where}: the middle of the spot", target.spot)
     return Assembly(
@@ -196,6 +198,19 @@ def _require_memory(detector: mi.Sensor) -> None:
         raise SceneError(f"{detector.where}: the film has {columns} x {rows} pixels, must have at least 1 x 1")
     if too_much := excess(BYTES_PER_PIXEL * columns * rows):
         raise SceneError(f"{detector.where}: {columns} x {rows} pixels {too_much}: set a smaller width or height")
+
+
+def _require_apart(elements: tuple[Element, ...]) -> None:
+    """SceneError where two screens lie in each other: light would go from the one to the other over no distance."""
+    for first, second in combinations([element for element in elements if element.kind == "opening"], 2):
+        a, b = first.faces[0].frame, second.faces[0].frame
+        offset, room = b.origin - a.origin, (first.size + second.size) / 2
+        parallel = np.linalg.norm(np.cross(a.axes[:, 2], b.axes[:, 2])) < _ON_SURFACE
+        if parallel and abs(offset @ a.axes[:, 2]) < _ON_SURFACE * room and np.linalg.norm(offset) < room:
+            raise SceneError(
+                f"apertures {first.name!r} and {second.name!r} lie in one plane and overlap, must stand apart: "
+                "make one opening of them"
+            )
 
 
 def _require_in_air(elements: tuple[Element, ...], what: str, point: np.ndarray) -> None:

@@ -15,7 +15,6 @@ import os
 import re
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -24,8 +23,10 @@ from pathlib import Path
 
 import numpy as np
 
-from .cli import command, parser, say
+from .cli import add_force, command, parser, say
+from .files import identity_in, refuse_other_settings, require_output, write_json
 from .geometry import PlaneGrid, Pose
+from .interrupt import scratch_folder
 
 SCATTERERS, QUICK_SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000), (100, 1_000)
 PIXELS, QUICK_PIXELS = (744, 480), (186, 120)
@@ -361,10 +362,10 @@ class Bench:
         found["correlation of a frame"] = asdict(timed(lambda: correlator.shift(moved.intensity))) | {
             "what": f"{size}, window {correlator.window}"
         }
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "frame.exr"
+        with scratch_folder() as folder:
+            path = folder / "frame.exr"
             found["EXR writing"] = asdict(timed(lambda: write_field(path, rest))) | {"what": f"{size}, three channels"}
-            found |= self._commands(Path(folder))
+            found |= self._commands(folder)
         for count in (1_000,) if self.quick else (100_000, 1_000_000):
             target = self._denser(count).target
             place = partial(illuminated_scatterers, target.surface, self.assembly.beam, target.frame)
@@ -450,13 +451,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     made.add_argument(
         "--quick", action="store_true", help="few scatterers, few pixels: does it work, not how fast is it"
     )
+    add_force(made)
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
     options = made.parse_args(arguments)
-    if options.out and not Path(options.out).parent.is_dir():
-        raise FileNotFoundError(f"{options.out}: the folder {str(Path(options.out).parent)!r} does not exist")
+    identity = {"quick": options.quick, "variant": options.variant}
+    if options.out:
+        require_output(options.out)
+        refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
     bench = Bench(_assembly(options), QUICK_PEER_SECONDS if options.quick else PEER_SECONDS, options.quick)
     counts = QUICK_SCATTERERS if options.quick else SCATTERERS
-    from .report import write_json
     from .sysinfo import system_information
 
     begin = time.perf_counter()
@@ -466,7 +469,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
              "LLVM")  # fmt: skip
     console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
     # Every part is shown and kept when it is done: an interrupt loses no more than the part it falls into.
-    content = {"pixels": list(bench.grid.shape[::-1]), "tolerance": TOLERANCE, "system": system}
+    content = {"identity": identity, "pixels": list(bench.grid.shape[::-1]), "tolerance": TOLERANCE, "system": system}
 
     def keep(name: str, figures: object) -> None:
         content[name] = figures

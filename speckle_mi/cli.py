@@ -5,40 +5,45 @@ from __future__ import annotations
 import argparse
 import os
 import re
-import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Callable, Sequence
 
-DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+from . import interrupt
+
+DONE, BAD_INPUT = 0, 2
 
 
 def command(main: Callable[[Sequence[str] | None], int | None], arguments: Sequence[str] | None = None) -> int:
     """Runs a command's ``main`` and returns its exit status.
 
-    Bad input (ValueError, OSError, and Mitsuba's RuntimeError) becomes one line on stderr and status 2,
-    an interrupt status 130. With ``--debug`` the traceback is shown as well.
+    Bad input (ValueError, OSError, Mitsuba's RuntimeError) becomes one line on stderr and status 2; with ``--debug``
+    the traceback is shown as well. An interrupt ends the process with status 130.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    _interrupts.clear()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
+    began = interrupt.listen()
     try:
-        return main(arguments) or DONE
-    except KeyboardInterrupt:
-        return _interrupted()
+        with warnings.catch_warnings():
+            if "--debug" not in arguments:
+                warnings.simplefilter("ignore")  # libraries warn of what their callers handle; users cannot act on it
+            status = main(arguments) or DONE
+        sys.stdout.flush()
+        return status
     except BrokenPipeError:
         # The reader of our output has gone; nothing more can be said on it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except (ValueError, OSError, RuntimeError, MemoryError) as error:
-        if _interrupts:
-            # Dr.Jit turns an interrupt that reaches it while it records a loop into an error of its own.
-            return _interrupted()
         if "--debug" in arguments:
             traceback.print_exc()
         print(f"error: {one_line(error)}", file=sys.stderr)
         return BAD_INPUT
+    finally:
+        if began:
+            interrupt.stop_listening()
+        else:
+            interrupt.ignore()
 
 
 def parser(name: str, description: str) -> argparse.ArgumentParser:
@@ -61,6 +66,11 @@ def scene_parser(name: str, description: str) -> argparse.ArgumentParser:
     )
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
     return made
+
+
+def add_force(made: argparse.ArgumentParser) -> None:
+    """The flag of every command that writes results."""
+    made.add_argument("--force", action="store_true", help="overwrite results that were made with other settings")
 
 
 def load_scene(path: str, defaults: Sequence[str], variant: str):
@@ -110,20 +120,10 @@ def one_line(error: BaseException) -> str:
         return type(error).__name__
     if "Traceback" not in text and len(lines) == 1:
         return lines[0]
-    place = re.search(r"(At [^:]*?\(line \d+, col \d+\)|While loading \S+ \(near line \d+, col \d+\))", text)
+    place = re.search(r"(At [^:]*?\(line \d+, col \d+\)|While loading .+? \((?:near )?line \d+, col \d+\))", text)
+    unknown = re.search(r'Found \d+ unreferenced \w+ in (\w+) plugin of type "(\w+)":\s+- (\w+) "([^"]*)"', text)
+    if unknown:
+        role, plugin, kind, name = unknown.groups()
+        lines.append(f"{role} {plugin!r} has no parameter {name!r} of type {kind}, must be one that its documentation names")
     reason = re.sub(r"^(\w+\.)*\w*Error: ", "", lines[-1])
     return f"{place.group(1)}: {reason}" if place else reason
-
-
-_interrupts: list[int] = []
-"""Signals that asked the running command to end."""
-
-
-def _interrupt(number: int, _: object) -> None:
-    _interrupts.append(number)
-    raise KeyboardInterrupt
-
-
-def _interrupted() -> int:
-    print("interrupted: what is finished has been kept", file=sys.stderr)
-    return INTERRUPTED

@@ -11,17 +11,19 @@ is left out, and the table says so.
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from .cli import command, load_scene, say, scene_parser
+from .cli import add_force, command, load_scene, say, scene_parser
 from .convergence_frame import PAPER_RAYS
 from .convergence_plots import plot_convergence, plot_scatter
 from .convergence_report import print_report, write_rows, write_study
 from .convergence_study import Allowance, Study
+from .files import identity_in, refuse_other_settings
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
@@ -49,6 +51,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .sysinfo import system_information
 
     assembly = assembly_from_scene(scene)
+    identity = json.loads(json.dumps({"scene_hash": assembly.fingerprint(), "seed": assembly.seed} | settings))
+    for name in ("converge.json", "converge.csv"):
+        refuse_other_settings(folder / name, identity_in(folder / "converge.json"), identity, options.force)
     folder.mkdir(parents=True, exist_ok=True)
     study = Study(assembly, Path(options.scene).stem, settings, Allowance(settings["seconds"]))
     with _progress(options.quiet) as progress:
@@ -59,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     plot_scatter(folder / "statistics.png", scatter, study.name)
     system = system_information()
     total = time.perf_counter() - start
-    asked = {"scene": options.scene, "defaults": options.defaults}
+    asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     write_study(folder / "converge.json", asked, study, rows, scatter, {"system": system, "seconds_total": total})
     if not options.quiet:
         print_report(study, rows, scatter, system)
@@ -79,6 +84,7 @@ def _parser():
         help="what the measurements may take; what would take longer is left out (default: 240, quick: 30)",
     )
     parser.add_argument("--quick", action="store_true", help="few values of everything")
+    add_force(parser)
     return parser
 
 

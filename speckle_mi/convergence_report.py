@@ -11,12 +11,11 @@ import numpy as np
 from .convergence_frame import DOES_NOT_APPLY, MEASURED, Row
 from .convergence_scatter import Scatter
 from .convergence_study import Study
+from .files import replacing, write_json
 
 
 def write_rows(path: str | os.PathLike, rows: list[Row]) -> None:
     """Writes a row a setting; what was not measured is empty."""
-    from .files import replacing
-
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [column.name for column in fields(Row)])
         writer.writeheader()
@@ -28,8 +27,6 @@ def write_study(
     path: str | os.PathLike, asked: dict, study: Study, rows: list[Row], scatter: list[Scatter], run: dict
 ) -> None:
     """Writes as JSON what was ``asked`` (scene, defaults), all that was measured, and its ``run`` (machine, time)."""
-    from .report import write_json
-
     write_json(path, {
         **asked, "plan": study.plan_lines,
         "displacement": {"dof": "x", "mm": study.displacement}, "theory_shift_um": study.theory_shift,

@@ -86,6 +86,20 @@ def read_field(path: str | os.PathLike) -> FieldImage:
     return FieldImage(intensity, complex_field, _header(attributes))
 
 
+def read_header(path: str | os.PathLike) -> dict:
+    """What the header of a field image says, without its pixels. Raises FieldImageError."""
+    path = Path(path)
+    if not path.is_file() or not OpenEXR.isOpenExrFile(str(path)):
+        raise FieldImageError(f"{path}: not an OpenEXR file")
+    with _library_muted():
+        try:
+            with OpenEXR.File(str(path), header_only=True) as file:
+                attributes = dict(file.header())
+        except Exception as error:
+            raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
+    return _header(attributes)
+
+
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
     """Pixels of every channel, and the attributes of the header."""
     _check_size(path)

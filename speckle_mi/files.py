@@ -1,36 +1,92 @@
-"""Files that a scene or a command names: meshes, lists of scatterers, and whole-or-nothing writing."""
+"""Files: whole-or-nothing writing of results, and the meshes and lists of scatterers that a scene names."""
 
 from __future__ import annotations
 
+import json
+import math
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
+from . import interrupt
+
 MAX_POINTS = 20_000_000
+
+
+def require_output(path: str | os.PathLike) -> None:
+    """Raises OSError when no file can be written at ``path``: before anything is computed for it."""
+    path = Path(path)
+    folder = path.parent
+    if not folder.is_dir():
+        raise FileNotFoundError(f"{path}: the folder {str(folder)!r} does not exist")
+    if not os.access(folder, os.W_OK):
+        raise PermissionError(f"{path}: the folder {str(folder)!r} may not be written to")
+    if path.is_dir():
+        raise IsADirectoryError(f"{path}: is a folder, must be the name of a file")
+    if path.exists() and not path.is_file():
+        raise OSError(f"{path}: is a device, must be the name of a file")
+
+
+def refuse_other_settings(path: str | os.PathLike, held: object, wanted: object, force: bool) -> None:
+    """Raises ValueError where ``path`` exists and the settings ``held`` there are not those ``wanted`` now, unless forced."""
+    if Path(path).exists() and held != wanted and not force:
+        raise ValueError(f"{path}: holds results of other settings, give another name or --force to overwrite them")
+
+
+def identity_in(path: str | os.PathLike) -> object:
+    """The settings that a result in JSON says it was made with; None where there are none to be read."""
+    try:
+        return json.loads(Path(path).read_text(encoding="utf-8"))["identity"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends well, and vanishes otherwise."""
-    path = Path(path)
-    if not path.parent.is_dir():
-        raise FileNotFoundError(f"{path}: the folder {path.parent} does not exist")
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
+    require_output(path)
+    path = Path(os.path.realpath(path))  # a link stays, and what it points to is replaced
+    # The user's mask applies, as to any other file: results may be read by whom the user lets.
+    temporary = path.parent / f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}"
     try:
+        with interrupt.begins_file:
+            interrupt.fragments.add(str(temporary))
+            os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
         yield temporary
-        # mkstemp makes files private; results are as readable as any other file of the user.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
         os.replace(temporary, path)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    except RuntimeError as error:  # of OpenEXR
+        reason = str(error).replace(str(temporary), str(path))
+        raise OSError(f"{path}: cannot be written ({reason})") from error
     finally:
         temporary.unlink(missing_ok=True)
+        interrupt.fragments.discard(str(temporary))
+
+
+def write_json(path: str | os.PathLike, content: dict) -> None:
+    """Writes JSON, whole or not at all; NaN and infinities become null."""
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _plain(value: object) -> object:
+    """Content that JSON can hold: NumPy values as Python's, non-finite numbers as None."""
+    if isinstance(value, dict):
+        return {str(name): _plain(item) for name, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def resolve(props, name: str) -> Path:

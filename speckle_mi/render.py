@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import time
-from collections.abc import Sequence
-from pathlib import Path
+import zipfile
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from .cli import command, load_scene, say, scene_parser
-from .files import replacing
+from .cli import add_force, command, load_scene, say, scene_parser
+from .exr import read_header, write_field
+from .files import refuse_other_settings, replacing, require_output
 from .geometry import Pose
 from .memory import excess
 
@@ -27,20 +30,29 @@ def main(arguments: Sequence[str] | None = None) -> None:
         "--per-source", type=int, default=0, metavar="K", help="also write the fields of the first K scatterers, as layers"
     )
     parser.add_argument("--spp", type=int, default=0, help="sub-pixels a pixel that the intensity is averaged over")
+    add_force(parser)
     options = parser.parse_args(arguments)
     pose = Pose.parse(options.pose)
     for flag, value in (("--per-source", options.per_source), ("--spp", options.spp)):
         if value < 0:
             raise ValueError(f"{flag} {value}: must not be negative")
     for path in filter(None, (options.output, options.sources)):
-        require_folder(path)
+        require_output(path)
 
     scene = load_scene(options.scene, options.defaults, options.variant)
     from .assembly import assembly_from_scene
-    from .exr import write_field
     from .simulate import simulate_frame
 
     assembly = assembly_from_scene(scene, spp=options.spp)
+    settings = {
+        "scene_hash": assembly.fingerprint(),
+        "seed": assembly.seed,
+        "pose": str(pose if options.pose else assembly.pose),
+        "per_source": options.per_source,
+    }
+    refuse_other_settings(options.output, settings_of_image(options.output, settings), settings, options.force)
+    if options.sources:
+        refuse_other_settings(options.sources, settings_of_sources(options.sources), settings, options.force)
     start = time.perf_counter()
     frame = simulate_frame(assembly, pose if options.pose else None)
     seconds = time.perf_counter() - start
@@ -48,9 +60,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if too_much := excess(layer_bytes):
         raise ValueError(f"--per-source {options.per_source}: the layers {too_much}")
     layers = source_layers(assembly, frame.scatterers, pose if options.pose else None, options.per_source)
-    write_field(options.output, frame.image, layers)
+    image = replace(frame.image, header=frame.image.header | settings)
+    write_field(options.output, image, layers)
     if options.sources:
-        write_sources(options.sources, assembly, frame.scatterers)
+        write_sources(options.sources, assembly, frame.scatterers, settings)
     for line in frame.plan:
         say(options, f"plan: {line}")
     for warning in frame.warnings:
@@ -72,24 +85,32 @@ def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[s
     }
 
 
-def require_folder(path: str) -> None:
-    """Raises FileNotFoundError when ``path`` cannot be written since its folder does not exist."""
-    folder = Path(path).parent
-    if not folder.is_dir():
-        raise FileNotFoundError(f"{path}: the folder {str(folder)!r} does not exist")
-    if not os.access(folder, os.W_OK):
-        raise PermissionError(f"{path}: the folder {str(folder)!r} may not be written to")
-    if Path(path).is_dir():
-        raise IsADirectoryError(f"{path}: is a folder, must be the name of a file")
+def settings_of_image(path: str | os.PathLike, wanted: Iterable[str]) -> dict | None:
+    """What an image says of the ``wanted`` settings; None where it is none of ours."""
+    try:
+        header = read_header(path)
+    except ValueError:
+        return None
+    return {name: header.get(name) for name in wanted}
 
 
-def write_sources(path: str | os.PathLike, assembly, scatterers) -> None:
+def settings_of_sources(path: str | os.PathLike) -> object:
+    """The settings with which ``--sources`` wrote a file; None where it did not."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return json.loads(archive.comment)
+    except (OSError, ValueError, zipfile.BadZipFile):
+        return None
+
+
+def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict) -> None:
     """Writes position, amplitude and pixel geometry, with which the field can be checked independently.
 
-    In free space without a lobe the field is the sum of ``amplitude * exp(i k r) / r`` over ``position`` exactly.
+    In free space without a lobe the field is the sum of ``amplitude * exp(i k r) / r`` over ``position`` exactly. The
+    settings stand in the archive's comment.
     """
     grid = assembly.detector
-    with replacing(path) as temporary, open(temporary, "wb") as file:
+    with replacing(path) as temporary, open(temporary, "w+b") as file:
         np.savez(
             file,
             position=scatterers.position,
@@ -100,6 +121,8 @@ def write_sources(path: str | os.PathLike, assembly, scatterers) -> None:
             pitch=grid.pitch,
             wavelength=assembly.beam.wavelength,
         )
+        with zipfile.ZipFile(file, "a") as archive:
+            archive.comment = json.dumps(settings).encode()
 
 
 if __name__ == "__main__":

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 import os
+from collections.abc import Iterable
 from dataclasses import asdict, fields
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from rich.table import Table
 from . import paper
 from .assembly import Assembly
 from .expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_correlation, expected_sensitivity
-from .files import replacing
+from .files import replacing, write_json
 from .geometry import DEGREES_OF_FREEDOM, is_rotation
 from .plots import plot_decorrelation, plot_shifts, plot_speckle
 from .sensitivity import Sensitivity, fit_sensitivity
@@ -34,18 +34,12 @@ def unit_of(dof: str) -> str:
     return "mm/deg" if is_rotation(dof) else "mm/mm"
 
 
-def write_json(path: str | os.PathLike, content: dict) -> None:
-    """Writes JSON, whole or not at all; NaN and infinities become null."""
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
-
-
-def write_table(path: str | os.PathLike, result: SweepResult) -> None:
+def write_table(path: str | os.PathLike, records: Iterable[FrameRecord]) -> None:
     """Writes a row a frame; numbers that were not measured are empty."""
     with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, [column.name for column in fields(FrameRecord)])
         writer.writeheader()
-        for record in result.records:
+        for record in records:
             row = asdict(record)
             writer.writerow({name: "" if _is_nan(value) else value for name, value in row.items()})
 
@@ -60,7 +54,7 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
     grid = assembly.detector
     fits = _fit_all(assembly, settings, result)
     published = paper.published_assembly(assembly)
-    frames = [record.seconds for record in result.records]
+    frames = [record.seconds for record in result.records if not _is_nan(record.seconds)]
     lost = sum(record.status != "ok" for record in result.records)
     return {
         "axes": {"u": grid.u.tolist(), "v": grid.v.tolist()},
@@ -215,16 +209,3 @@ def _number(value: float | None, form: str = "{:+.4f}") -> str:
 
 def _is_nan(value: object) -> bool:
     return isinstance(value, float) and math.isnan(value)
-
-
-def _plain(value: object) -> object:
-    """Content that JSON can hold: NumPy values as Python's, non-finite numbers as None."""
-    if isinstance(value, dict):
-        return {str(name): _plain(item) for name, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value

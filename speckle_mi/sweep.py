@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from .cli import command, load_scene, say, scene_parser
+from . import __version__
+from .cli import add_force, command, load_scene, say, scene_parser
 from .correlate import Correlator, centre_of_gravity
+from .exr import FieldImage, FieldImageError, read_field, write_field
+from .files import refuse_other_settings, write_json
 from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
+from .interrupt import keeping
 from .statistics import contrast
 
 _PENDING_WRITES = 8
@@ -68,6 +72,18 @@ class SweepResult:
     numerical_error: float = 0.0
     warnings: dict[str, int] = field(default_factory=dict)
     example: np.ndarray | None = None
+    writes: list[Future] = field(default_factory=list)
+
+    def note(self, numerical_error: float, warnings: Iterable[str]) -> None:
+        """Takes account of what was noticed at one frame."""
+        self.numerical_error = max(self.numerical_error, numerical_error)
+        for warning in warnings:
+            self.warnings[warning] = self.warnings.get(warning, 0) + 1
+
+    def finished(self) -> list[FrameRecord]:
+        """The records whose images are on disk: the others are lost when the sweep ends here."""
+        whole = (write.done() and not write.cancelled() and write.exception() is None for write in self.writes)
+        return [record for record, is_whole in zip(self.records, whole) if is_whole]
 
     def values(self, dof: str, name: str, settings: SweepSettings) -> np.ndarray:
         """Column ``name`` of a motion's frames as (seeds, displacements), less the reference's for cog columns."""
@@ -101,11 +117,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     identity = _identity(assembly, settings)
     _claim(folder, identity, options.force)
     result = SweepResult()
-    try:
-        run_sweep(assembly, settings, folder / "frames", result, quiet=options.quiet)
-    finally:
-        # An interrupted sweep keeps its finished frames and the table of them.
-        report.write_table(folder / "sweep.csv", result)
+    table, is_repeated = folder / "sweep.csv", (folder / "summary.json").exists()
+
+    def keep() -> None:
+        # A sweep that is done again has a whole table already.
+        if not is_repeated or len(result.finished()) == frame_count(settings):
+            report.write_table(table, result.finished())
+
+    # An interrupted sweep keeps its finished frames and the table of them, and goes on from there the next time.
+    with keeping(keep):
+        run_sweep(assembly, settings, folder / "frames", result, options.quiet, resume=not is_repeated)
     summary = report.summarise(assembly, settings, result)
     summary["scene"] = options.scene
     summary["defaults"] = options.defaults
@@ -126,7 +147,7 @@ def _parser():
     parser.add_argument("--seeds", type=int, default=8, help="number of surfaces (default: %(default)s)")
     parser.add_argument("--window", type=int, default=None, help="side of the correlation window, px (default: 256; the paper's: 64)")
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
-    parser.add_argument("--force", action="store_true", help="overwrite results that were made with other settings")
+    add_force(parser)
     return parser
 
 
@@ -174,40 +195,54 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
     settings_file = folder / "settings.json"
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
-    if settings_file.is_file() and not force:
+    if settings_file.is_file():
         try:
             held = json.loads(settings_file.read_text(encoding="utf-8"))
         except ValueError:
             held = None
-        if held != identity:
-            raise ValueError(f"{folder}: holds results of other settings, give another --out or --force to overwrite them")
+        refuse_other_settings(folder, held, identity, force)
     elif folder.is_dir() and any(folder.iterdir()) and not force and not settings_file.is_file():
         raise ValueError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     if force:
         for stale in (*folder.glob("frames/*.exr"), *folder.glob("*.png"), folder / "summary.json", folder / "sweep.csv"):
             stale.unlink(missing_ok=True)
-    from .report import write_json
-
     write_json(settings_file, identity)
 
 
-def run_sweep(assembly, settings: SweepSettings, frames: Path, result: SweepResult, quiet: bool = False) -> None:
-    """Makes all frames of a sweep, adding to ``result`` as it goes and writing images beside the computation."""
-    from .exr import write_field
+def frame_count(settings: SweepSettings) -> int:
+    """Frames of a sweep, references included."""
+    return len(settings.seeds) * (1 + len(settings.dofs) * len(settings.displacements))
 
-    total = len(settings.seeds) * (1 + len(settings.dofs) * len(settings.displacements))
+
+def run_sweep(
+    assembly, settings: SweepSettings, frames: Path, result: SweepResult, quiet: bool = False, resume: bool = False
+) -> None:
+    """Makes all frames of a sweep, adding to ``result`` as it goes and writing images beside the computation.
+
+    resume: takes the images that an interrupted sweep of the same settings has left; their records have no time.
+    """
     with ThreadPoolExecutor(max_workers=1) as writer, _progress(quiet) as progress:
-        task = progress.add_task("frames", total=total)
-        writes: list[Future] = []
+        task = progress.add_task("frames", total=frame_count(settings))
+        writes = result.writes
 
-        def make(surface, pose: Pose, name: str):
+        def make(surface, pose: Pose, name: str) -> tuple[np.ndarray, float]:
+            """Intensity of a frame, and when it was begun (NaN for one that was there already)."""
+            start, path = time.perf_counter(), frames / f"{name}.exr"
+            image = _finished_image(path, surface, pose) if resume else None
+            if image is not None:
+                result.plan = result.plan or image.header["plan"].split("; ")
+                result.note(image.header["numerical_error"], filter(None, image.header["warnings"].split("; ")))
+                writes.append(Future())
+                writes[-1].set_result(None)
+                progress.advance(task)
+                return image.intensity, np.nan
             frame = _simulated(surface, pose, result)
             if len(writes) >= _PENDING_WRITES:
                 writes[-_PENDING_WRITES].result()
-            writes.append(writer.submit(write_field, frames / f"{name}.exr", frame.image))
+            writes.append(writer.submit(write_field, path, frame.image))
             progress.advance(task)
-            return frame.image
+            return frame.image.intensity, start
 
         try:
             for seed in settings.seeds:
@@ -215,29 +250,37 @@ def run_sweep(assembly, settings: SweepSettings, frames: Path, result: SweepResu
             for write in writes:
                 write.result()
         except BaseException:
-            # Interrupted, or the disk is full: what is not on disk does not stand in the table either.
+            # The disk is full, say: the frames that wait are not tried.
             writer.shutdown(cancel_futures=True)
-            result.records[:] = [record for record, write in zip(result.records, writes) if _is_written(write)]
             raise
-
-
-def _is_written(write: Future) -> bool:
-    return not write.cancelled() and write.exception() is None
 
 
 def _sweep_surface(assembly, seed: int, settings: SweepSettings, result: SweepResult, make) -> None:
     """The reference and every displaced frame of one surface."""
-    start = time.perf_counter()
-    reference = make(assembly, Pose(), f"seed{seed}_reference")
+    reference, start = make(assembly, Pose(), f"seed{seed}_reference")
     if result.example is None:
-        result.example = reference.intensity
-    correlator = Correlator(reference.intensity, settings.window)
-    result.records.append(_record(REFERENCE, 0.0, seed, correlator, reference.intensity, assembly, start))
+        result.example = reference
+    correlator = Correlator(reference, settings.window)
+    result.records.append(_record(REFERENCE, 0.0, seed, correlator, reference, assembly, start))
     for dof in settings.dofs:
         for number, displacement in enumerate(settings.displacements):
-            start = time.perf_counter()
-            image = make(assembly, Pose(**{dof: float(displacement)}), f"seed{seed}_{dof}_{number:03d}")
-            result.records.append(_record(dof, float(displacement), seed, correlator, image.intensity, assembly, start))
+            image, start = make(assembly, Pose(**{dof: float(displacement)}), f"seed{seed}_{dof}_{number:03d}")
+            result.records.append(_record(dof, float(displacement), seed, correlator, image, assembly, start))
+
+
+def _finished_image(path: Path, assembly, pose: Pose) -> FieldImage | None:
+    """The image that an earlier run of the same version has left at ``path``; None where there is none that fits."""
+    wanted = {
+        "scene_hash": assembly.fingerprint(),
+        "seed": assembly.seed,
+        "pose": str(pose),
+        "version": __version__,
+    }
+    try:
+        image = read_field(path)
+    except FieldImageError:
+        return None
+    return image if wanted.items() <= image.header.items() else None
 
 
 def _simulated(assembly, pose: Pose, result: SweepResult):
@@ -245,9 +288,7 @@ def _simulated(assembly, pose: Pose, result: SweepResult):
 
     frame = simulate_frame(assembly, pose)
     result.plan = result.plan or frame.plan
-    result.numerical_error = max(result.numerical_error, frame.numerical_error)
-    for warning in frame.warnings:
-        result.warnings[warning] = result.warnings.get(warning, 0) + 1
+    result.note(frame.numerical_error, frame.warnings)
     return frame
 
 

@@ -502,6 +502,33 @@ def test_a_file_where_a_folder_should_be_is_named(run, tmp_path):
     assert (tmp_path / "out").read_text() == "mine"
 
 
+def test_an_image_of_other_settings_is_not_overwritten_unless_forced(run, tmp_path):
+    first = ["render", SCENE, "-o", "f.exr", "--sources", "s.npz", "--quiet", *SMALL]
+    assert run(*first) == (0, [])
+    held = {name: (tmp_path / name).read_bytes() for name in ("f.exr", "s.npz")}
+    for other in (["--pose", "x=0.1"], ["--spp", "4"], ["--per-source", "2"], ["-D", "beam_radius=0.1"]):
+        refused(run(*first, *other), "f.exr", "other settings", "--force")
+    refused(run("render", SCENE, "-o", "g.exr", "--sources", "s.npz", "--pose", "x=0.1", *SMALL), "s.npz", "--force")
+    assert {name: (tmp_path / name).read_bytes() for name in held} == held
+    assert run(*first) == (0, []) and run(*first, "--pose", "x=0.1", "--force") == (0, [])
+    assert (tmp_path / "f.exr").read_bytes() != held["f.exr"] and (tmp_path / "s.npz").read_bytes() != held["s.npz"]
+
+
+def test_files_of_other_programs_are_not_overwritten_unless_forced(run, tmp_path):
+    (tmp_path / "f.exr").write_text("mine")
+    refused(run("render", SCENE, "-o", "f.exr", *SMALL), "f.exr", "--force")
+    (tmp_path / "out").mkdir()
+    for command, name in (("converge", "converge.csv"), ("stability.__main__", "stability.csv")):
+        (tmp_path / "out" / name).write_text("mine")
+        refused(run(command, *([SCENE] if command == "converge" else []), "--out", "out"), name, "--force")
+    (tmp_path / "b.json").write_text("{}")
+    refused(run("benchmark", "--quick", "--out", "b.json"), "b.json", "--force")
+
+
+def test_a_device_is_not_replaced_by_a_file(run):
+    refused(run("render", SCENE, "-o", os.devnull, *SMALL), "device")
+
+
 def full_disk(*_, **__):
     raise OSError(28, "No space left on device", "f.exr")
 
@@ -512,7 +539,7 @@ def test_a_full_disk_leaves_the_old_image_and_no_fragment(run, tmp_path, monkeyp
     assert run("render", SCENE, "-o", "f.exr", "--quiet", *SMALL) == (0, [])
     before = (tmp_path / "f.exr").read_bytes()
     monkeypatch.setattr(OpenEXR.File, "write", full_disk)
-    refused(run("render", SCENE, "-o", "f.exr", "--pose", "x=0.1", "--quiet", *SMALL), "no space left")
+    refused(run("render", SCENE, "-o", "f.exr", "--pose", "x=0.1", "--force", "--quiet", *SMALL), "no space left")
     assert (tmp_path / "f.exr").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["f.exr"]
 
@@ -542,29 +569,12 @@ def test_a_disk_that_fills_up_during_a_sweep_keeps_its_finished_frames_and_their
     assert not (tmp_path / "out" / "summary.json").exists()
 
 
-def test_an_interrupt_that_comes_back_as_another_error_is_still_an_interrupt(run, monkeypatch):
-    """Dr.Jit turns an interrupt that reaches it while it records a loop into a RuntimeError."""
-    import signal
-
-    from speckle_mi import render
-
-    def interrupted(*_):
-        try:
-            signal.raise_signal(signal.SIGTERM)
-        except KeyboardInterrupt as error:
-            raise RuntimeError("dr.while_loop(): encountered an exception (see above).") from error
-
-    monkeypatch.setattr(render, "load_scene", interrupted)
-    status, lines = run("render", SCENE, "-o", "f.exr")
-    assert status == 130 and len(lines) == 1 and "interrupted" in lines[0]
-
-
 def test_a_full_disk_leaves_the_old_table(run, tmp_path, monkeypatch):
-    from speckle_mi import report
+    from speckle_mi.files import write_json
 
     path = tmp_path / "summary.json"
-    report.write_json(path, {"a": 1})
+    write_json(path, {"a": 1})
     monkeypatch.setattr("pathlib.Path.write_text", full_disk)
     with pytest.raises(OSError):
-        report.write_json(path, {"a": 2})
+        write_json(path, {"a": 2})
     assert json.loads(path.read_text()) == {"a": 1} and len(list(tmp_path.iterdir())) == 1

@@ -9,8 +9,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 
-from ..cli import command, parser, say
-from ..files import replacing
+from ..cli import add_force, command, parser, say
+from ..files import identity_in, refuse_other_settings, replacing, write_json
+from ..interrupt import keeping
 from .case import BROKEN, LIMIT, OK, Check, checks_of
 
 BOUND_BROKEN = 1
@@ -24,17 +25,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options_of.add_argument("--out", metavar="DIR", help="folder for stability.csv and stability.json")
     options_of.add_argument("--quick", action="store_true", help="the shorter catalogue that the tests run")
     options_of.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
+    add_force(options_of)
     options = options_of.parse_args(arguments)
-    folder = None if options.out is None else _folder(options.out)
+    identity = {"catalogue": "quick" if options.quick else "whole", "variant": options.variant}
+    folder = None if options.out is None else _folder(options.out, identity, options.force)
     _set_variant(options.variant)
     checks: list[Check] = []
-    try:
+
+    def keep() -> None:
+        if folder is not None:
+            write_table(folder, checks, identity)
+
+    with keeping(keep):  # an interrupted run keeps what it has found
         for check in catalogue(options.quick, progress=not options.quiet):
             checks.append(check)
-    finally:
-        # An interrupted run keeps what it has found.
-        if folder is not None:
-            write_table(folder, checks, "quick" if options.quick else "whole")
     if not options.quiet:
         print_table(checks)
     broken = sum(check.verdict == BROKEN for check in checks)
@@ -69,22 +73,21 @@ def catalogue(quick: bool = False, progress: bool = False) -> Iterator[Check]:
             bar.advance(task)
 
 
-def write_table(folder: Path, checks: Sequence[Check], name: str) -> None:
-    """Writes stability.csv and stability.json of the catalogue ``name``, each whole or not at all."""
-    from ..report import write_json
-
+def write_table(folder: Path, checks: Sequence[Check], identity: dict) -> None:
+    """Writes stability.csv and stability.json, each whole or not at all."""
     names = [column.name for column in fields(Check)]
     with replacing(folder / "stability.csv") as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names)
         writer.writeheader()
         writer.writerows(asdict(check) for check in checks)
-    write_json(folder / "stability.json", {"catalogue": name, "checks": [asdict(check) for check in checks]})
+    write_json(folder / "stability.json", {"identity": identity, "checks": [asdict(check) for check in checks]})
 
 
 def print_table(checks: Sequence[Check]) -> None:
     """Prints a row a check, then the limits with the messages that the user gets."""
     from rich import box
     from rich.console import Console
+    from rich.markup import escape
     from rich.table import Table
 
     console = Console(width=None if os.isatty(1) else 150, highlight=False)
@@ -94,7 +97,7 @@ def print_table(checks: Sequence[Check]) -> None:
     colours = {OK: "green", LIMIT: "yellow", BROKEN: "bold red"}
     for check in checks:
         numbers = (_text(check.value), _text(check.reference), _text(check.error, 2), _text(check.bound, 2))
-        table.add_row(check.case, check.quantity, *numbers, f"[{colours[check.verdict]}]{check.verdict}[/]")
+        table.add_row(escape(check.case), escape(check.quantity), *map(escape, numbers), f"[{colours[check.verdict]}]{check.verdict}[/]")
     console.print(table)
     for check in checks:
         if check.message and check.verdict != OK:
@@ -116,10 +119,12 @@ def _set_variant(name: str) -> None:
     mi.set_log_level(mi.LogLevel.Error)
 
 
-def _folder(name: str) -> Path:
+def _folder(name: str, identity: dict, force: bool) -> Path:
     folder = Path(name)
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
+    for result in ("stability.json", "stability.csv"):
+        refuse_other_settings(folder / result, identity_in(folder / "stability.json"), identity, force)
     folder.mkdir(parents=True, exist_ok=True)
     return folder
 

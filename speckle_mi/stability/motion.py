@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ..geometry import Frame, Pose, rotation_matrix
 from .case import BROKEN, LIMIT, Case, Check, compared, same_field, warned, within
-from .scenes import Bench, against_exact_sum
+from .scenes import WAVELENGTH, Bench, against_exact_sum, exact_laser, exact_sum, pixel_centres
+from .surfaces import point_scatterers
 
 TOLERANCE = 1e-4
 
@@ -44,6 +46,21 @@ def rotations(quick: bool):
             yield same_field("rotation", f"field at {axis} = {angle:g} deg", *found, TOLERANCE)
     frame = Bench().frame(Pose(ry=-60.0))
     yield warned("rotation", "ry = -60 deg: the laser behind the surface [field]", frame, "no light")
+
+
+def rotation_of_known_points(quick: bool):
+    """Points that are turned and moved here, and lit by the laser's definition, against those that the scene moves."""
+    points = np.random.default_rng(2).normal(size=(60, 3)) * [0.05, 0.05, 0.01]
+    for turn in ((0.0, 60.0, 0.0),) if quick else ((1e-3, 0.0, 0.0), (0.0, 60.0, 0.0), (-60.0, 0.0, 0.0), (10.0, 25.0, 40.0)):
+        shift = np.array([0.01, -0.02, 0.3])
+        with point_scatterers(points) as path:
+            bench = Bench(target={"points": path, "roughness": 0.0})
+            assembly, pose = bench.assembly(), Pose(*map(float, shift), *turn)
+            field = bench.field(pose)
+        moved = Rotation.from_rotvec(turn, degrees=True).apply(points) + shift
+        places = pixel_centres(assembly.detector, np.arange(assembly.detector.size))
+        reference = exact_sum(moved, exact_laser(assembly.beam, moved), places, WAVELENGTH)
+        yield same_field("rotation", f"field of known points at {pose}", field, reference, TOLERANCE)
 
 
 def motion_larger_than_the_spot(quick: bool):
@@ -97,6 +114,7 @@ def motion_and_its_inverse(quick: bool):
 CASES = (
     Case(displacements_far_below_an_atom),
     Case(rotations),
+    Case(rotation_of_known_points),
     Case(motion_larger_than_the_spot),
     Case(out_of_the_beam),
     Case(behind_the_detector),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
+from ..interrupt import scratch_folder
 from .case import Case, compared, same_field, within
 from .scenes import WAVELENGTH, Bench, against_exact_sum
 
@@ -19,6 +21,12 @@ def roughness(quick: bool):
     for rms in (0.0, 0.01, 1000.0) if quick else (0.0, 0.01, 0.1, 1.0, 30.0, 1000.0):
         bench = Bench(target={"roughness": rms})
         yield same_field("roughness", f"field of a surface of {rms:g} um", *against_exact_sum(bench), TOLERANCE)
+        if rms > 0:
+            heights = _UPRIGHT.with_(target={"roughness": rms, "point_sources": 2000}).frame().scatterers.position[:, 2]
+            # Four standard errors of a standard deviation.
+            bound = 4 / np.sqrt(2 * len(heights))
+            name = f"rms height of a surface of {rms:g} um [um]"
+            yield compared("roughness", name, heights.std() * 1e3, rms, bound, relative=True)
 
 
 def correlation_length(quick: bool):
@@ -143,8 +151,8 @@ def two_scatterers(quick: bool):
 def curved_target(quick: bool):
     """A mesh of a spherical cap: the sum is exact, the scatterers lie on it but for facets and roughness."""
     radius = 5.0
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "cap.ply"
+    with scratch_folder() as folder:
+        path = folder / "cap.ply"
         _write_cap(path, radius)
         bench = Bench(
             laser={"beam_radius": 0.3}, target={"filename": str(path), "roughness": 0.5, "point_sources": 200}
@@ -187,20 +195,13 @@ def _write_cap(path: Path, radius: float) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="ascii")
 
 
-class point_scatterers:
+@contextmanager
+def point_scatterers(points) -> Iterator[str]:
     """A CSV file of scatterers for the length of a block."""
-
-    def __init__(self, points) -> None:
-        self.text = "\n".join(",".join(map(repr, map(float, point))) for point in points) + "\n"
-
-    def __enter__(self) -> str:
-        self.folder = tempfile.TemporaryDirectory()
-        path = Path(self.folder.name) / "points.csv"
-        path.write_text(self.text, encoding="ascii")
-        return str(path)
-
-    def __exit__(self, *_) -> None:
-        self.folder.cleanup()
+    with scratch_folder() as folder:
+        path = folder / "points.csv"
+        path.write_text("\n".join(",".join(map(repr, map(float, point))) for point in points) + "\n", encoding="ascii")
+        yield str(path)
 
 
 def _only(path: str) -> dict:

@@ -1,0 +1,131 @@
+"""Ctrl-C and SIGTERM at any moment: one line, status 130, nothing half-written, what is finished kept and taken up again."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from conftest import SCENES
+from test_commands import SMALL, run
+
+from speckle_mi.exr import read_field
+from speckle_mi.interrupt import INTERRUPTED, is_command
+
+SCENE = str(SCENES / "tilted_laser.xml")
+SWEEP = ["--dof", "x,ry", "--range", "0.02", "--steps", "3", "--seeds", "2", "--out", "out", "--quiet", *SMALL]
+
+INTERRUPTS_ITSELF = """
+import os, signal, sys
+import speckle_mi.cli, speckle_mi.files, speckle_mi.interrupt
+def main(arguments):
+    with speckle_mi.interrupt.keeping(lambda: open("kept", "w").close()), speckle_mi.interrupt.scratch_folder() as folder:
+        with speckle_mi.files.replacing("result.txt") as path:
+            path.write_text("half")
+            assert len(os.listdir()) == 1 and folder.is_dir()
+            print(folder, flush=True)
+            os.kill(os.getpid(), signal.{stop})
+            {waits}
+sys.exit(speckle_mi.cli.command(main, []))
+"""
+WAITS = {
+    "in Python": "while True: pass",
+    "outside Python": "import time; time.sleep(60)",
+    "in code that swallows exceptions": """
+            while True:
+                try: pass
+                except BaseException: pass""",
+}
+
+
+@pytest.mark.parametrize("stop", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("waits", WAITS)
+def test_an_interrupted_command_keeps_what_it_can_and_leaves_no_fragment(tmp_path, stop, waits):
+    script = INTERRUPTS_ITSELF.format(stop=stop, waits=WAITS[waits])
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == INTERRUPTED, done.stderr
+    assert done.stderr == "interrupted: what is finished has been kept\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["kept"]
+    assert not Path(done.stdout.strip()).exists()
+
+
+@pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
+def test_a_command_that_is_still_being_imported_ends_in_one_line(tmp_path, stop):
+    """The signal comes with the first import of the package that follows its own."""
+    script = (
+        "import os, runpy, sys\n"
+        "class Stops:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name == 'speckle_mi.llvm': os.kill(os.getpid(), {int(stop)})\n"
+        "sys.meta_path.insert(0, Stops())\n"
+        "sys.argv[0], sys.orig_argv = '-m', ['python', '-m', 'speckle_mi.render']\n"
+        "runpy.run_module('speckle_mi.render', run_name='__main__')\n"
+    )
+    done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert done.returncode == INTERRUPTED, done.stderr
+    assert done.stderr.count("\n") == 1 and "interrupted" in done.stderr
+
+
+def test_a_library_leaves_signals_alone():
+    assert is_command(["-m", "a.xml"], ["python", "-m", "speckle_mi.sweep", "a.xml"])
+    assert is_command(["-m", "a.xml"], ["python", "-mspeckle_mi.sweep", "a.xml"])
+    assert not is_command(["pytest"], ["python", "-m", "pytest", "speckle_mi.xml"])
+    assert not is_command(["-m"], ["python", "-m", "other.speckle_mi"])
+    assert not is_command([""], ["python"])
+    script = "import signal, speckle_mi; print(signal.getsignal(signal.SIGTERM) is signal.SIG_DFL)"
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout.strip() == "True"
+
+
+def test_an_interrupted_sweep_goes_on_from_its_finished_frames(tmp_path):
+    whole = run("sweep", SCENE, *SWEEP, cwd=tmp_path)
+    assert whole.returncode == 0, whole.stderr
+    out = tmp_path / "out"
+    frames = sorted((out / "frames").glob("*.exr"))
+    before = {path.name: path.read_bytes() for path in frames}
+    summary = json.loads((out / "summary.json").read_text())
+    # As an interrupt leaves it: some frames, no summary; one of the frames is of another surface, one damaged.
+    (out / "summary.json").unlink()
+    kept, foreign, damaged = frames[0], frames[1], frames[2]
+    age = time.time() - 1000
+    for path in frames[3:]:
+        path.unlink()
+    foreign.write_bytes(before[frames[-1].name])
+    damaged.write_bytes(before[damaged.name][:-20])
+    os.utime(kept, (age, age))
+    again = run("sweep", SCENE, *SWEEP, cwd=tmp_path)
+    assert again.returncode == 0, again.stderr
+    assert kept.stat().st_mtime == pytest.approx(age, abs=1)
+    # The fields are the same whether taken over or computed again; only what was measured of the run differs.
+    for path in sorted((out / "frames").glob("*.exr")):
+        assert (read_field(path).intensity == _image(before[path.name], tmp_path).intensity).all(), path.name
+    found = json.loads((out / "summary.json").read_text())
+    assert found["sensitivity"] == summary["sensitivity"] and found["frames"] == summary["frames"]
+    with open(out / "sweep.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["seconds"] == "" for row in rows] == [path == kept for path in _in_order(out, rows)]
+
+
+def _image(content: bytes, folder):
+    path = folder / "before.exr"
+    path.write_bytes(content)
+    return read_field(path)
+
+
+def _in_order(out, rows):
+    """The files of the frames that a table's rows stand for."""
+    counts: dict = {}
+    for row in rows:
+        name = f"seed{row['seed']}_{row['dof']}"
+        if row["dof"] != "reference":
+            number = counts.get(name, 0)
+            counts[name] = number + 1
+            name += f"_{number:03d}"
+        yield out / "frames" / f"{name}.exr"
