@@ -80,7 +80,7 @@ def slopes_of_surfaces(
 
 def _slopes(assembly, count: int, seed: int, steps: dict[str, float]) -> dict[str, tuple[float, float]]:
     """Sensitivities (u, v) [mm/mm, mm/deg] of one surface, from displacements forth and back."""
-    from .correlate import Correlator
+    from .correlator import Correlator
     from .simulate import simulate
 
     assembly = Setting("auto", count, SCATTER_TOLERANCE).of(assembly).with_seed(seed)

@@ -157,7 +157,7 @@ class Study:
 
     def _measured(self, setting: Setting, blank: Row, sample: Sample) -> Row:
         """The row of a setting: a first frame at rest, warm ones in turn moved and at rest."""
-        from .correlate import Correlator
+        from .correlator import Correlator
         from .simulate import simulate_frame
 
         assembly = setting.of(self.assembly)

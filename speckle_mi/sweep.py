@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 
 from .cli import command, load_scene, say, scene_parser
-from .correlate import Correlator, centre_of_gravity
+from .correlator import Correlator
 from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
-from .statistics import contrast
+from .statistics import centre_of_gravity, contrast
 
 _PENDING_WRITES = 8
 """Frames that may wait to be written: bounds the memory they take."""
