@@ -136,8 +136,8 @@ def exact_sample(assembly, tolerance: float) -> Sample:
     assembly = replace(assembly, sub_pixels=1)
     probe = replace(assembly, detector=every_pixel(assembly.detector, 0, max(assembly.detector.shape)))
     lit = simulate_frame(probe.with_options(method="direct"), Pose()).scatterers if not assembly.elements else None
-    pairs = SAMPLED_PAIRS / max(lit.count, 1) if lit else SAMPLED_PIXELS[1]
-    step = int(np.ceil(np.sqrt(assembly.detector.size / np.clip(pairs, *SAMPLED_PIXELS))))
+    count = sampled_pixels(lit.count) if lit else SAMPLED_PIXELS[1]
+    step = int(np.ceil(np.sqrt(assembly.detector.size / count)))
     first = min(step, *assembly.detector.shape) // 2
     grid = every_pixel(assembly.detector, first, step)
     if lit is not None:
@@ -153,6 +153,11 @@ def exact_sample(assembly, tolerance: float) -> Sample:
         field, scatterers = frame.image.field, frame.scatterers.count
         origin = f"sum on the sampled pixels to {tolerance:.0e}, its own error {frame.numerical_error:.0e}"
     return Sample(first, step, field.reshape(grid.shape), scatterers, origin, time.perf_counter() - begin, tolerance)
+
+
+def sampled_pixels(scatterers: float) -> float:
+    """About how many pixels the float64 sum over so many scatterers is made on."""
+    return float(np.clip(SAMPLED_PAIRS / max(scatterers, 1), *SAMPLED_PIXELS))
 
 
 def every_pixel(grid: PlaneGrid, first: int, step: int) -> PlaneGrid:

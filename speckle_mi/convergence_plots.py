@@ -20,7 +20,7 @@ LOOKS = {
 }
 """Colour (Okabe and Ito), marker and name of a method."""
 
-SHADES, MARKERS = ("#E69F00", "#CC79A7", "#56B4E9", "#0072B2"), "sv^o"
+SHADES, MARKERS = ("#E69F00", "#CC79A7", "#56B4E9", "#009E73"), "sv^D"
 """Of the values of N1 in the picture of the scatter, from the smallest on."""
 
 
@@ -43,8 +43,8 @@ def plot_convergence(path: Path, rows: list[Row], name: str) -> None:
         remarks = _remarks(rows, own)
         # Two lines are kept free in every panel, so that the panels of a row stay equally high.
         panel.set_title(f"$N_1$ = {_power(count)}  ({summed:,} summed)", loc="left", fontsize=FONT, pad=24)
-        panel.annotate("\n".join(remarks), (0, 1), (0, 3), xycoords="axes fraction", textcoords="offset points",
-                       ha="left", va="bottom", fontsize=FONT - 3, color="0.35")  # fmt: skip
+        panel.annotate("\n".join(remarks), (0, 1), (0, 21), xycoords="axes fraction", textcoords="offset points",
+                       ha="left", va="top", fontsize=FONT - 3, color="0.35")  # fmt: skip
     _whole_decades(list(panels.flat[: max(len(counts), 1)]), "xy")
     for number, panel in enumerate(panels.flat[: len(counts)]):
         if number + columns >= len(counts):
@@ -152,7 +152,7 @@ def _whole_decades(panels: list, names: str) -> None:
         axes = [getattr(panel, f"{name}axis") for panel in panels]
         ends = np.array([axis.get_data_interval() for axis in axes]).reshape(-1, 2)
         ends = ends[np.isfinite(ends).all(axis=1) & (ends > 0).all(axis=1)]
-        low, high = (ends[:, 0].min() / 1.1, ends[:, 1].max() * 1.1) if len(ends) else (1.0, 10.0)
+        low, high = (ends[:, 0].min() / 1.1, ends[:, 1].max() * 1.1) if len(ends) else (2.0, 5.0)
         getattr(panels[0], f"set_{name}lim")(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
         for axis in axes:
             axis.set_major_locator(LogLocator(numticks=8))

@@ -21,6 +21,7 @@ from .convergence_frame import (
     every_pixel,
     exact_sample,
     peak_memory,
+    sampled_pixels,
     with_point_sources,
 )
 from .convergence_scatter import SCATTER_SOURCES, Scatter, rotation_as_far, scatter_of, slopes_of_surfaces
@@ -48,8 +49,10 @@ EXACT_TOLERANCES = (1e-7, 1e-6)
 """Of the exact field behind elements; the second where the first would take too long."""
 PAIRS_PER_SECOND = 1e9
 
-PROBED_PIXELS = (6, 60)
-"""Pixels along a side of the detectors that tell what rays will cost: nearly nothing but the tracing, and more."""
+PROBED_PIXELS = 6
+"""Pixels along a side of the detector that tells what tracing the rays costs."""
+SECONDS_A_RAY_PAIR = 1e-7
+"""Of the field that the rays of one source have at one pixel, on frames larger than the processor's cache."""
 PROBE_RAYS = 400
 """Rays a source by which it is found out whether the method applies: few rays may miss a focal line."""
 
@@ -179,21 +182,16 @@ class Study:
         return Row(self.name, "", **asdict(setting), scatterers=sample and sample.scatterers, status=LEFT_OUT)
 
     def _seconds_of_rays(self) -> float:
-        """What the first frame of rays should take: extrapolated from two detectors with few of the pixels.
+        """What the first frame of rays should take: tracing them to few pixels, and the pairs of sources and pixels.
 
         Raises ValueError where rays do not apply.
         """
         assembly = Setting("rays", self.point_sources[0], rays_per_source=PROBE_RAYS).of(self.assembly)
-        pixels, seconds = [], []
-        for side in PROBED_PIXELS:
-            step = max(1, max(assembly.detector.shape) // side)
-            probe = replace(assembly, detector=every_pixel(assembly.detector, 0, step))
-            begin = time.perf_counter()
-            simulate_frame(probe, Pose())
-            seconds.append(time.perf_counter() - begin)
-            pixels.append(probe.detector.size)
-        slope = max(seconds[1] - seconds[0], 0.0) / max(pixels[1] - pixels[0], 1)
-        return seconds[0] + slope * assembly.detector.size
+        grid = assembly.detector
+        probe = replace(assembly, detector=every_pixel(grid, 0, max(1, max(grid.shape) // PROBED_PIXELS)))
+        begin = time.perf_counter()
+        traced = simulate_frame(probe, Pose())
+        return time.perf_counter() - begin + SECONDS_A_RAY_PAIR * traced.scatterers.count * grid.size
 
     def _measured(self, setting: Setting, blank: Row, sample: Sample) -> Row:
         """The row of a setting: a first frame at rest, warm ones in turn moved and at rest."""
@@ -239,13 +237,15 @@ class Study:
         before = [(n, sample) for n, sample in self.samples.items() if sample is not None]
         tolerance = EXACT_TOLERANCES[0]
         if before:
-            # Few scatterers cost little beside what every frame takes, many cost in proportion.
-            seconds = [sample.seconds for _, sample in before[-2:]]
-            expected = seconds[-1] * (max(seconds[-1] / seconds[0], 1.0) if len(seconds) > 1 else 1.0)
+            last, sample = before[-1]
+            expected = sample.seconds
             if self.assembly.elements:
-                tolerance = before[-1][1].tolerance
-                if expected > SHARE_OF_ONE * self.allowance.left:
-                    tolerance = EXACT_TOLERANCES[1]
+                # Few scatterers cost little beside what every frame takes: the growth so far goes on.
+                expected *= max(sample.seconds / before[-2][1].seconds, 1.0) if len(before) > 1 else 1.0
+                tolerance = sample.tolerance if expected < SHARE_OF_ONE * self.allowance.left else EXACT_TOLERANCES[1]
+            else:
+                grown = sample.scatterers * count / last
+                expected *= grown * sampled_pixels(grown) / (sample.scatterers * sampled_pixels(sample.scatterers))
             if expected > self.allowance.left:
                 return None
         return exact_sample(assembly, tolerance)
