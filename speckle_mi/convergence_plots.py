@@ -152,7 +152,7 @@ def _whole_decades(panels: list, names: str) -> None:
         axes = [getattr(panel, f"{name}axis") for panel in panels]
         ends = np.array([axis.get_data_interval() for axis in axes]).reshape(-1, 2)
         ends = ends[np.isfinite(ends).all(axis=1) & (ends > 0).all(axis=1)]
-        low, high = (ends[:, 0].min() / 1.1, ends[:, 1].max() * 1.1) if len(ends) else (2.0, 5.0)
+        low, high = (ends[:, 0].min() / 1.5, ends[:, 1].max() * 1.5) if len(ends) else (2.0, 5.0)
         getattr(panels[0], f"set_{name}lim")(10 ** np.floor(np.log10(low)), 10 ** np.ceil(np.log10(high)))
         for axis in axes:
             axis.set_major_locator(LogLocator(numticks=8))
@@ -166,4 +166,6 @@ def _power(count: int) -> str:
 
 def _summed(rows: list[Row]) -> str:
     counts = sorted({row.scatterers for row in rows if row.status == MEASURED and row.scatterers})
-    return f"{counts[0]:,} to {counts[-1]:,} scatterers summed" if counts else "nothing measured"
+    if not counts:
+        return "nothing measured"
+    return " to ".join(f"{count:,}" for count in sorted({counts[0], counts[-1]})) + " scatterers summed"

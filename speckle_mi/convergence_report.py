@@ -13,13 +13,6 @@ from .convergence_scatter import Scatter
 from .convergence_study import Study
 
 
-EDGES = (
-    "behind an opening: light diffracted at its edge stands still while the speckles move and holds the peak of the "
-    "correlation back, most at small displacements; theory leaves it out"
-)
-"""Why the shift behind an opening without a lens is smaller than first-order theory says."""
-
-
 def write_rows(path: str | os.PathLike, rows: list[Row]) -> None:
     """Writes a row a setting; what was not measured is empty."""
     from .files import replacing
@@ -141,8 +134,8 @@ def _print_scatter(console, scatter: list[Scatter], study: Study) -> None:
         times = abs(e.off_theory) / e.error_of_mean
         words = f"off theory by {e.off_theory:+.2g} {e.unit}, {times:.1f} standard errors, more than chance explains"
         console.print(f"{e.dof}, N1 = {e.point_sources:,}: {words}", markup=False)
-    if off and study.edges_stand_still:
-        console.print(EDGES, markup=False)
+    for sentence in study.why_off_theory(off):
+        console.print(sentence, markup=False)
 
 
 def _sig(value: float | None) -> str:
