@@ -12,6 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from .geometry import PlaneGrid, Pose
+from .lobe import lobe_towards
+from .propagation import FreeSpace
+from .propagation.reference import reference_sum
+from .simulate import simulate_frame
 
 PAPER_RAYS = 1500
 """Rays a source in Opt. Eng. 61(6) 061410 (2022), doi:10.1117/1.OE.61.6.061410."""
@@ -128,19 +132,14 @@ def exact_sample(assembly, tolerance: float) -> Sample:
     In free space the float64 sum over all scatterers as it stands, in NumPy. With elements a sum on those pixels alone
     to ``tolerance``, its openings divided accordingly, each stage checked against its own exact sum on sampled points.
     """
-    from .lobe import lobe_towards
-    from .propagation import FreeSpace
-    from .propagation.reference import reference_sum
-    from .simulate import simulate_frame
-
     begin = time.perf_counter()
     assembly = replace(assembly, sub_pixels=1)
-    probe = replace(assembly, detector=_every(assembly.detector, 0, max(assembly.detector.shape)))
+    probe = replace(assembly, detector=every_pixel(assembly.detector, 0, max(assembly.detector.shape)))
     lit = simulate_frame(probe.with_options(method="direct"), Pose()).scatterers if not assembly.elements else None
-    pairs = SAMPLED_PAIRS / max(lit.count, 1) if lit else SAMPLED_PIXELS[1]
-    step = int(np.ceil(np.sqrt(assembly.detector.size / np.clip(pairs, *SAMPLED_PIXELS))))
+    count = sampled_pixels(lit.count) if lit else SAMPLED_PIXELS[1]
+    step = int(np.ceil(np.sqrt(assembly.detector.size / count)))
     first = min(step, *assembly.detector.shape) // 2
-    grid = _every(assembly.detector, first, step)
+    grid = every_pixel(assembly.detector, first, step)
     if lit is not None:
         points = grid.points()
         field = reference_sum(FreeSpace(), lit.position, lit.amplitude, points, assembly.beam.wavelength)
@@ -156,7 +155,12 @@ def exact_sample(assembly, tolerance: float) -> Sample:
     return Sample(first, step, field.reshape(grid.shape), scatterers, origin, time.perf_counter() - begin, tolerance)
 
 
-def _every(grid: PlaneGrid, first: int, step: int) -> PlaneGrid:
+def sampled_pixels(scatterers: float) -> float:
+    """About how many pixels the float64 sum over so many scatterers is made on."""
+    return float(np.clip(SAMPLED_PAIRS / max(scatterers, 1), *SAMPLED_PIXELS))
+
+
+def every_pixel(grid: PlaneGrid, first: int, step: int) -> PlaneGrid:
     """Every ``step``-th pixel of a grid from ``first`` on, along rows and columns."""
     shape = tuple(len(range(first, n, step)) for n in grid.shape)
     return replace(

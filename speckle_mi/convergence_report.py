@@ -62,7 +62,7 @@ def print_report(study: Study, rows: list[Row], scatter: list[Scatter], system: 
     for words in _notes(rows):
         console.print(words, markup=False)
     _print_exact(console, study)
-    _print_scatter(console, scatter)
+    _print_scatter(console, scatter, study)
     names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "LLVM")
     console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
 
@@ -91,8 +91,9 @@ def _notes(rows: list[Row]) -> list[str]:
             if group[0].accuracy
             else ""
         )
-        what = method if group[0].status == DOES_NOT_APPLY else f"{method}, N1 = {count:,}{which}"
-        lines.append(f"{what}: {group[0].status}, {group[0].note}")
+        applies = group[0].status != DOES_NOT_APPLY
+        where = f"{method}, N1 = {count:,}{which}: {group[0].status}, " if applies else ""
+        lines.append(where + group[0].note)
     return lines + sorted({f"{row.method}: {row.note}" for row in rows if row.status == MEASURED and row.note})
 
 
@@ -105,7 +106,7 @@ def _print_exact(console, study: Study) -> None:
                   "which one surface only scatters about", markup=False)  # fmt: skip
 
 
-def _print_scatter(console, scatter: list[Scatter]) -> None:
+def _print_scatter(console, scatter: list[Scatter], study: Study) -> None:
     from rich import box
     from rich.table import Table
 
@@ -116,8 +117,7 @@ def _print_scatter(console, scatter: list[Scatter]) -> None:
         table.add_column(head, justify="left" if number < 2 else "right")
     for e in scatter:
         theory = "-" if e.theory is None else f"{e.theory:+.4f}"
-        of_mean = e.spread / np.sqrt(max(len(e.slopes), 1))
-        values = (f"{e.mean:+.4f} {e.unit}", theory, f"{e.spread:.4f}", f"{of_mean:.4f}")
+        values = (f"{e.mean:+.4f} {e.unit}", theory, f"{e.spread:.4f}", f"{e.error_of_mean:.4f}")
         table.add_row(
             e.dof,
             e.axis,
@@ -126,6 +126,13 @@ def _print_scatter(console, scatter: list[Scatter]) -> None:
             *(values if e.slopes else ("not measured", theory)),
         )
     console.print(table)
+    off = [e for e in scatter if e.off_theory is not None]
+    for e in off:
+        times = abs(e.off_theory) / e.error_of_mean
+        words = f"off theory by {e.off_theory:+.2g} {e.unit}, {times:.1f} standard errors, more than chance explains"
+        console.print(f"{e.dof}, N1 = {e.point_sources:,}: {words}", markup=False)
+    for sentence in study.why_off_theory(off):
+        console.print(sentence, markup=False)
 
 
 def _sig(value: float | None) -> str:

@@ -7,13 +7,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import stdtrit
 
 from .convergence_frame import Setting
+from .correlator import Correlator
 from .geometry import Pose
+from .simulate import simulate
 
 SCATTER_SOURCES = (10, 100, 1_000, 10_000)
 SCATTER_TOLERANCE = 1e-3
 """Of the frames that the scatter over surfaces is measured on: a thousandth of what chance does to them."""
+
+UNLIKELY = 0.01
+"""Chance at which a difference from theory is no longer put down to chance (Student's t, both sides)."""
 
 NUMBER = {"x": 0, "ry": 4}
 """Of the motions measured, among the six of a pose."""
@@ -41,6 +47,19 @@ class Scatter:
         """What a relative error is relative to."""
         return abs(self.mean if self.theory is None else self.theory)
 
+    @property
+    def error_of_mean(self) -> float:
+        """Standard error of the mean over surfaces, in ``unit``."""
+        return self.spread / np.sqrt(max(len(self.slopes), 1))
+
+    @property
+    def off_theory(self) -> float | None:
+        """Mean less theory, where chance alone would do that once in a hundred times; None otherwise."""
+        if self.theory is None or len(self.slopes) < 2:
+            return None
+        off = self.mean - self.theory
+        return off if abs(off) > stdtrit(len(self.slopes) - 1, 1 - UNLIKELY / 2) * self.error_of_mean else None
+
     def of_means(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Numbers of surfaces averaged, standard deviation of such means, and its own relative error."""
         slopes, sizes = np.array(self.slopes), []
@@ -61,28 +80,30 @@ def slopes_of_surfaces(
 ) -> dict[tuple[str, int], list[tuple[float, float]]]:
     """Sensitivities (u, v) [mm/mm, mm/deg] of every motion at every N1, one for each surface.
 
-    counts: values of N1; steps: displacement [mm or deg] of each motion; surfaces: at most, at least two are made;
-    time_left: tells the time [s] that there still is; advance: called after each surface.
+    counts: values of N1, rising; steps: displacement [mm or deg] of each motion; surfaces: at most, at least two are
+    made for the smallest N1; time_left: tells the time [s] that there still is; advance: called after each surface.
+    A larger N1 for which the time does not last to measure two surfaces is left out.
     """
     slopes: dict[tuple[str, int], list[tuple[float, float]]] = {(dof, n): [] for dof in steps for n in counts}
-    longest = 0.0
+    spent = dict.fromkeys(counts, 0.0)
+    waiting = list(counts)
     for number in range(surfaces):
-        begin = time.perf_counter()
-        if number >= 2 and longest > time_left():
-            break
-        for count in counts:
+        for count in list(waiting):
+            begin = time.perf_counter()
+            # The next larger N1 takes at least as long as the one before did, and needs two surfaces to tell anything.
+            least = max(spent[n] for n in counts if n <= count) * (2 if number == 0 else 1)
+            if least > time_left() and not (number < 2 and count == counts[0]):
+                waiting = [n for n in waiting if n < count]
+                break
             for dof, slope in _slopes(assembly, count, assembly.seed + number, steps).items():
                 slopes[dof, count].append(slope)
-        longest = max(longest if number > 1 else 0.0, time.perf_counter() - begin)  # the first one compiles
+            spent[count] = time.perf_counter() - begin
         advance()
-    return slopes
+    return {(dof, n): found for (dof, n), found in slopes.items() if len(found) > 1}
 
 
 def _slopes(assembly, count: int, seed: int, steps: dict[str, float]) -> dict[str, tuple[float, float]]:
     """Sensitivities (u, v) [mm/mm, mm/deg] of one surface, from displacements forth and back."""
-    from .correlate import Correlator
-    from .simulate import simulate
-
     assembly = Setting("auto", count, SCATTER_TOLERANCE).of(assembly).with_seed(seed)
     correlator = Correlator(simulate(assembly, Pose()).intensity)
     found = {}

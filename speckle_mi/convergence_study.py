@@ -18,15 +18,21 @@ from .convergence_frame import (
     Row,
     Sample,
     Setting,
+    every_pixel,
     exact_sample,
     peak_memory,
+    sampled_pixels,
     with_point_sources,
 )
 from .convergence_scatter import SCATTER_SOURCES, Scatter, rotation_as_far, scatter_of, slopes_of_surfaces
+from .correlator import Correlator
+from .expectation import expected_sensitivity
 from .geometry import Pose
+from .run_times import Timing, duration
+from .simulate import plan_of, simulate_frame
 
 METHODS = ("auto", "direct", "fast", "rays")
-SHARES = {"exact": 0.12, "auto": 0.22, "direct": 0.08, "fast": 0.16, "rays": 0.22, "surfaces": 0.2}
+SHARES = {"exact": 0.2, "auto": 0.2, "direct": 0.08, "fast": 0.14, "rays": 0.18, "surfaces": 0.2}
 """Of the time, in the order in which it is spent; what a part leaves over goes to those after it."""
 SHARE_OF_ONE = 2 / 3
 """Of a part's time left that one N1 may take, so that the larger ones, which take longest, get their turn."""
@@ -42,6 +48,23 @@ SHARE_OF_RADIUS = 0.1
 EXACT_TOLERANCES = (1e-7, 1e-6)
 """Of the exact field behind elements; the second where the first would take too long."""
 PAIRS_PER_SECOND = 1e9
+
+EDGES = (
+    "behind an opening: light diffracted at its edge stands still while the speckles move and holds the peak of the "
+    "correlation back, most at small displacements; theory leaves it out"
+)
+LONE = (
+    "through a lens: a tilt moves the speckles of scatterers that share a resolution cell; those that few scatterers "
+    "make, seen one by one, stay where they are"
+)
+"""Why simulated shifts are not those of first-order theory."""
+
+PROBED_PIXELS = 6
+"""Pixels along a side of the detector that tells what tracing the rays costs."""
+SECONDS_A_RAY_PAIR = 1e-7
+"""Of the field that the rays of one source have at one pixel, on frames larger than the processor's cache."""
+PROBE_RAYS = 400
+"""Rays a source by which it is found out whether the method applies: few rays may miss a focal line."""
 
 
 class Allowance:
@@ -74,9 +97,6 @@ class Study:
     """All measurements on one assembly."""
 
     def __init__(self, assembly, name: str, settings: dict, allowance: Allowance) -> None:
-        from .expectation import expected_sensitivity
-        from .simulate import plan_of
-
         self.assembly, self.name, self.settings, self.allowance = assembly, name, settings, allowance
         self.plan_lines = list(plan_of(assembly).lines)
         radius = assembly.beam.radius
@@ -90,6 +110,13 @@ class Study:
         self.samples: dict[int, Sample | None] = {}
         points = assembly.target.points
         self.point_sources = settings["point_sources"] if points is None else (len(points.points),)
+
+    def why_off_theory(self, off: list[Scatter]) -> list[str]:
+        """What is known to set the means ``off`` apart from first-order theory, a sentence each."""
+        channels = plan_of(self.assembly).channels
+        edges = off and any(channel.openings and not channel.has_power for channel in channels)
+        lone = any(entry.dof == "ry" for entry in off) and any(channel.has_power for channel in channels)
+        return [*([EDGES] if edges else []), *([LONE] if lone else [])]
 
     # Error against run time
 
@@ -121,15 +148,23 @@ class Study:
     def _one_method(self, method: str, accuracies: list[dict], advance: Callable[[], None]) -> list[Row]:
         rows: list[Row] = []
         history: dict[int, tuple[int, float]] = {}
+        first = 0.0
+        if method == "direct":
+            first = self._nodes * self.assembly.detector.size / PAIRS_PER_SECOND
+        if method == "rays":
+            try:
+                first = self._seconds_of_rays()
+            except ValueError as error:
+                setting = Setting(method, self.point_sources[0], **accuracies[0])
+                return [replace(self._blank(setting), status=DOES_NOT_APPLY, note=one_line(error))]
         for count in self.point_sources:
             self.allowance.begin_step(1.0 if count == self.point_sources[-1] else SHARE_OF_ONE)
             coarser = 0.0
             for number, accuracy in enumerate(accuracies):
                 setting = Setting(method, count, **accuracy)
                 # The next accuracy is not faster than the one before, whether that was measured or left out.
-                expected = _predicted(setting, history.get(number), self.assembly.detector.size)
-                if method == "direct" and not history:
-                    expected = self._nodes * self.assembly.detector.size / PAIRS_PER_SECOND
+                before = history.get(number)
+                expected = _predicted(setting, before, self.assembly.detector.size) if history else first
                 row = self._one_setting(setting, max(expected, coarser))
                 if row.status == MEASURED:
                     history[number], coarser = (count, row.seconds_median), row.seconds_median
@@ -143,23 +178,35 @@ class Study:
 
     def _one_setting(self, setting: Setting, seconds: float) -> Row:
         """One row; ``seconds`` is what a frame should take, 0 if nobody knows."""
-        sample = self.samples[setting.point_sources]
-        blank = Row(self.name, "", **asdict(setting), scatterers=sample and sample.scatterers, status=LEFT_OUT)
+        sample, blank = self.samples[setting.point_sources], self._blank(setting)
         if sample is None:
             return replace(blank, note="the exact sum to compare with would take too long")
         if 2 * seconds > self.allowance.step_left:
-            note = f"would take about {_duration(seconds)} a frame" if seconds else "no time left"
+            note = f"would take about {duration(seconds)} a frame" if seconds else "no time left"
             return replace(blank, note=note)
         try:
             return self._measured(setting, blank, sample)
         except ValueError as error:
             return replace(blank, status=DOES_NOT_APPLY, note=one_line(error))
 
+    def _blank(self, setting: Setting) -> Row:
+        sample = self.samples[setting.point_sources]
+        return Row(self.name, "", **asdict(setting), scatterers=sample and sample.scatterers, status=LEFT_OUT)
+
+    def _seconds_of_rays(self) -> float:
+        """What the first frame of rays should take: tracing them to few pixels, and the pairs of sources and pixels.
+
+        Raises ValueError where rays do not apply.
+        """
+        assembly = Setting("rays", self.point_sources[0], rays_per_source=PROBE_RAYS).of(self.assembly)
+        grid = assembly.detector
+        probe = replace(assembly, detector=every_pixel(grid, 0, max(1, max(grid.shape) // PROBED_PIXELS)))
+        begin = time.perf_counter()
+        traced = simulate_frame(probe, Pose())
+        return time.perf_counter() - begin + SECONDS_A_RAY_PAIR * traced.scatterers.count * grid.size
+
     def _measured(self, setting: Setting, blank: Row, sample: Sample) -> Row:
         """The row of a setting: a first frame at rest, warm ones in turn moved and at rest."""
-        from .correlate import Correlator
-        from .simulate import simulate_frame
-
         assembly = setting.of(self.assembly)
         poses = (Pose(), Pose(x=self.displacement))
         with peak_memory() as memory:
@@ -176,29 +223,43 @@ class Study:
             if len(times) == 1:
                 shift = Correlator(rest.image.intensity).shift(frame.image.intensity)
         error, phase = sample.errors(rest.image.field)
-        quartiles = [float(value) for value in np.quantile(times, (0.5, 0.25, 0.75))]
+        timing = Timing.of(times, first)
         pixel = 1e3 * assembly.detector.pitch
+        lost = [] if shift.ok else [f"shift: {shift.status}"]
         along = (shift.u_px * pixel, shift.v_px * pixel) if shift.ok else (None, None)
         return replace(
             blank, status=MEASURED, plan="; ".join(_sums(rest.plan)), scatterers=rest.scatterers.count,
-            note="; ".join([*rest.warnings, *([] if shift.ok else [f"shift: {shift.status}"])]),
+            note="; ".join([*self._shadows(setting), *rest.warnings, *lost]),
             field_error=error, phase_error_wavelengths=phase, shift_u_um=along[0], shift_v_um=along[1],
-            seconds_median=quartiles[0], seconds_q1=quartiles[1], seconds_q3=quartiles[2], runs=len(times),
-            seconds_first=first, peak_memory_mb=memory["peak"], added_memory_mb=memory["added"],
+            seconds_median=timing.median, seconds_q1=timing.q1, seconds_q3=timing.q3, runs=timing.runs,
+            seconds_first=timing.first, peak_memory_mb=memory["peak"], added_memory_mb=memory["added"],
             numerical_error=rest.numerical_error if np.isfinite(rest.numerical_error) else None,
         )  # fmt: skip
+
+    def _shadows(self, setting: Setting) -> list[str]:
+        """What rays leave out where openings diffract: a note, or nothing."""
+        openings = sum(len(channel.openings) for channel in plan_of(self.assembly).channels)
+        if setting.method != "rays" or not openings:
+            return []
+        return ["does not apply: openings diffract; rays cast sharp shadows, however many there are"]
 
     def _exact(self, count: int) -> Sample | None:
         """The exact sample at N1; None where it would take too long."""
         assembly = with_point_sources(self.assembly, count)
         before = [(n, sample) for n, sample in self.samples.items() if sample is not None]
         tolerance = EXACT_TOLERANCES[0]
-        if before and self.assembly.elements:
-            tolerance = before[-1][1].tolerance
-            if before[-1][1].seconds * count / before[-1][0] > self.allowance.left:
-                tolerance = EXACT_TOLERANCES[1]
-        if self.allowance.left <= 0 and before:
-            return None
+        if before:
+            last, sample = before[-1]
+            expected = sample.seconds
+            if self.assembly.elements:
+                # Few scatterers cost little beside what every frame takes: the growth so far goes on.
+                expected *= max(sample.seconds / before[-2][1].seconds, 1.0) if len(before) > 1 else 1.0
+                tolerance = sample.tolerance if expected < SHARE_OF_ONE * self.allowance.left else EXACT_TOLERANCES[1]
+            else:
+                grown = sample.scatterers * count / last
+                expected *= grown * sampled_pixels(grown) / (sample.scatterers * sampled_pixels(sample.scatterers))
+            if expected > self.allowance.left:
+                return None
         return exact_sample(assembly, tolerance)
 
     def _with_shift_errors(self, rows: list[Row]) -> list[Row]:
@@ -258,10 +319,3 @@ def _apart(row: Row, shift: Sequence[float]) -> float:
 def _sums(plan: list[str]) -> list[str]:
     """The lines of a frame's plan that say how the field was summed."""
     return [line for line in plan if line.startswith(("sum to", "rays:"))]
-
-
-def _duration(seconds: float) -> str:
-    for unit, size, limit in (("ms", 1e-3, 1.0), ("s", 1.0, 100.0), ("min", 60.0, 6e3), ("h", 3600.0, 2e5)):
-        if seconds < limit:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds / 86400:.3g} days"

@@ -7,9 +7,7 @@ without a display and in any thread. A file appears whole or not at all.
 from __future__ import annotations
 
 import os
-import secrets
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,8 +15,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import blended_transform_factory
 
-from speckle_mi.geometry import DEGREES_OF_FREEDOM, is_rotation
-from speckle_mi.sensitivity import Sensitivity
+from .files import replacing
+from .geometry import DEGREES_OF_FREEDOM, is_rotation
+from .sensitivity import Sensitivity
 
 MEAN, THEORY, LOST, SURFACE = "#0072B2", "#D55E00", "#CC79A7", "#8C8C8C"
 """Colours that the colour-blind can tell apart (Okabe and Ito) and that differ in lightness in print."""
@@ -53,11 +52,11 @@ def plot_shifts(
     displacement, shifts = _sorted(displacement, shifts)
     theory = theory if theory is not None and np.isfinite(theory) else None
     slope = fitted.value if theory is None else theory
-    figure = _figure(6.4, 5.6)
+    figure = new_figure(6.4, 5.6)
     upper, lower = figure.subplots(2, 1, sharex=True, gridspec_kw={"height_ratios": [3, 2]})
     residual = shifts - 1e3 * slope * displacement
     for axes, values in ((upper, shifts), (lower, residual)):
-        _style(axes)
+        dress(axes)
         axes.axhline(0, color="0.8", linewidth=0.8, zorder=0)
         _surfaces_and_mean(axes, displacement, values)
     span = np.array([displacement.min(), displacement.max()]) if displacement.size else np.zeros(2)
@@ -76,9 +75,9 @@ def plot_shifts(
     lower.set_ylabel("shift − theory (µm)" if theory is not None else "shift − fit (µm)")
     lower.set_xlabel(_motion_name(dof))
     upper.set_title(_result(fitted), loc="left", fontsize=FONT)
-    _legend_above(figure, upper, lower, columns=2)
+    legend_outside(figure, upper, lower, columns=2)
     figure.align_ylabels()
-    _write(figure, path)
+    write_picture(figure, path)
 
 
 def plot_decorrelation(
@@ -98,13 +97,13 @@ def plot_decorrelation(
     dofs = sorted(correlations, key=DEGREES_OF_FREEDOM.index)
     columns = min(len(dofs), 3)
     rows = -(-len(dofs) // columns)
-    figure = _figure(max(2.9 * columns + 0.5, 4.8), 2.6 * rows + 0.7)
+    figure = new_figure(max(2.9 * columns + 0.5, 4.8), 2.6 * rows + 0.7)
     panels = figure.subplots(rows, columns, sharey=True, squeeze=False)
     for panel in panels.flat[len(dofs) :]:
         panel.set_visible(False)
     for panel, dof in zip(panels.flat, dofs, strict=False):
         displacement, correlation = _sorted(displacements[dof], correlations[dof])
-        _style(panel)
+        dress(panel)
         _surfaces_and_mean(panel, displacement, correlation)
         if theory is not None and dof in theory:
             panel.plot(*_finite_curve(*theory[dof]), color=THEORY, linewidth=1.6, zorder=2, label="theory")
@@ -116,8 +115,8 @@ def plot_decorrelation(
         _make_room_below(panels[0, 0])
     for panel in panels[:, 0]:
         panel.set_ylabel("peak correlation")
-    _legend_above(figure, *panels.flat, columns=2 * columns)
-    _write(figure, path)
+    legend_outside(figure, *panels.flat, columns=2 * columns)
+    write_picture(figure, path)
 
 
 def plot_speckle(path: str | os.PathLike, intensity: np.ndarray, pitch_mm: float, title: str = "") -> None:
@@ -137,7 +136,7 @@ def plot_speckle(path: str | os.PathLike, intensity: np.ndarray, pitch_mm: float
     height, width = pitch_mm * np.array(intensity.shape)
     stretched = max(width / height, height / width) > LONGEST_ASPECT
     aspect = np.clip(height / width, 0.25, 1.6)
-    figure = _figure(6.4, 1.0 + 4.9 * aspect)
+    figure = new_figure(6.4, 1.0 + 4.9 * aspect)
     axes = figure.add_subplot()
     relative, white = _relative_intensity(intensity)
     image = axes.imshow(
@@ -158,7 +157,7 @@ def plot_speckle(path: str | os.PathLike, intensity: np.ndarray, pitch_mm: float
     bar = figure.colorbar(image, cax=axes.inset_axes((1.02, 0, 0.025, 1)))
     bar.set_label("intensity / mean")
     bar.ax.tick_params(labelsize=FONT - 1)
-    _write(figure, path)
+    write_picture(figure, path)
 
 
 def _relative_intensity(intensity: np.ndarray) -> tuple[np.ndarray, float]:
@@ -249,7 +248,7 @@ def _finite_curve(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return x[np.isfinite(y)], y[np.isfinite(y)]
 
 
-def _figure(width: float, height: float) -> Figure:
+def new_figure(width: float, height: float) -> Figure:
     """A figure of that size [inch] with an Agg canvas."""
     figure = Figure(figsize=(width, height), dpi=RESOLUTION, layout="constrained")
     figure.get_layout_engine().set(w_pad=0.08, h_pad=0.06)
@@ -257,34 +256,30 @@ def _figure(width: float, height: float) -> Figure:
     return figure
 
 
-def _style(axes: Axes) -> None:
+def dress(axes: Axes) -> None:
+    """Frame, grid and font of every panel."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="0.93", linewidth=0.7)
     axes.set_axisbelow(True)
     axes.tick_params(labelsize=FONT - 1)
     axes.margins(x=0.04, y=0.08)
-    axes.locator_params(axis="x", nbins=6)
+    if axes.get_xscale() == "linear":
+        axes.locator_params(axis="x", nbins=6)
 
 
-def _legend_above(figure: Figure, *axes: Axes, columns: int) -> None:
-    """One legend for all axes, above them and outside the data, in so many columns."""
+def legend_outside(figure: Figure, *axes: Axes, columns: int, below: bool = False) -> None:
+    """One legend for all axes outside the data, above them or, where a title stands there, below; in so many columns."""
     entries = {}
     for panel in axes:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):
             entries.setdefault(label, handle)
     if entries:
-        style = {"frameon": False, "fontsize": FONT - 1, "handlelength": 1.6, "columnspacing": 1.4}
-        figure.legend(entries.values(), entries.keys(), loc="outside upper left", ncols=columns, **style)
+        looks = {"frameon": False, "fontsize": FONT - 1, "handlelength": 1.6, "columnspacing": 1.4}
+        place = f"outside {'lower' if below else 'upper'} left"
+        figure.legend(entries.values(), entries.keys(), loc=place, ncols=columns, **looks)
 
 
-def _write(figure: Figure, path: str | os.PathLike) -> None:
-    """Write the PNG under another name in the same folder, then rename: readers never see half a file."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.png")
-    try:
-        with temporary.open("xb") as file:
-            figure.savefig(file, format="png")
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+def write_picture(figure: Figure, path: str | os.PathLike) -> None:
+    """Writes the PNG, whole or not at all."""
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png")

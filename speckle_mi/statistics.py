@@ -57,6 +57,21 @@ def _in_range(image: np.ndarray) -> np.ndarray:
     return np.ldexp(image, -math.frexp(float(np.max(np.abs(image))))[1])
 
 
+def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
+    """Centre of gravity (u, v) [px] of an intensity (rows, columns), relative to the image's middle.
+
+    NaN for an image without light. Raises ValueError for pixels that are not finite.
+    """
+    light = as_image(image)
+    total = float(light.sum())
+    if total <= 0.0:
+        return math.nan, math.nan
+    rows, columns = light.shape
+    u = np.arange(columns) - (columns - 1) / 2
+    v = np.arange(rows) - (rows - 1) / 2
+    return float(light.sum(axis=0) @ u) / total, float(light.sum(axis=1) @ v) / total
+
+
 def contrast(intensity: np.ndarray) -> float:
     """Speckle contrast: rms deviation over mean, 1 for fully developed polarised speckle (Goodman, ch. 3).
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from . import __version__
 from .cli import add_force, command, load_scene, say, scene_parser
-from .correlate import Correlator, centre_of_gravity
+from .correlator import Correlator
 from .exr import FieldImage, FieldImageError, read_field, write_field
 from .files import refuse_other_settings, write_json
 from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
 from .interrupt import keeping
-from .statistics import contrast
+from .statistics import centre_of_gravity, contrast
 
 _PENDING_WRITES = 8
 """Frames that may wait to be written: bounds the memory they take."""

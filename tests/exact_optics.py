@@ -16,6 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import roots_legendre
 
+from speckle_mi.geometry import Frame
+from speckle_mi.simulate import simulate_frame
+
 STEP = 1e-40  # Of a complex step: derivatives without any cancellation.
 
 
@@ -213,3 +216,19 @@ def bench(tmp_path, sources, detector, elements, *, pixels=(24, 16), pitch=0.05,
         target_xml(WORLD, points=str(table), roughness=None, point_sources=None),
         detector_xml(detector, width=pixels[0], height=pixels[1], pixel_pitch=pitch),
     )
+
+
+def facing(z: float, x: float = 0.0, y: float = 0.0, tilt=(0.0, 0.0, 0.0)) -> Frame:
+    """A detector that looks down the z axis, turned about its centre."""
+    from scene_builder import detector_frame, direction
+
+    frame = detector_frame(direction(0), z)
+    return Frame(frame.origin + [x, y, 0.0], tilted(*tilt) @ frame.axes)
+
+
+def rendered(assemble, text: str):
+    """(assembly, frame, field (pixels,) of a unit source): the illumination is divided out of a single source's field."""
+    assembly = assemble(text)
+    frame = simulate_frame(assembly)
+    assert frame.scatterers.count == 1
+    return assembly, frame, frame.image.field.ravel() / frame.scatterers.amplitude[0]

@@ -75,15 +75,16 @@ def top_level(names: set[str]) -> set[str]:
     return {name.partition(".")[0] for name in names}
 
 
-PURE = ("theory", "correlate", "statistics", "sensitivity", "geometry", "exr", "hashing", "cli", "plots", "sweep", "render")
+CORRELATION = ("correlate", "correlator", "correlation_peak", "ncc")
+PURE = ("theory", "statistics", "sensitivity", "geometry", "hashing", *CORRELATION)
 
 
-@pytest.mark.parametrize("name", PURE)
+@pytest.mark.parametrize("name", (*PURE, "exr", "cli", "plots", "sweep", "render"))
 def test_post_processing_imports_no_renderer(name):
     assert not RENDERER & top_level(reached(f"speckle_mi.{name}"))
 
 
-@pytest.mark.parametrize("name", ("theory", "correlate", "statistics", "sensitivity", "geometry", "hashing"))
+@pytest.mark.parametrize("name", PURE)
 def test_post_processing_uses_no_renderer_in_any_function(name):
     assert not RENDERER & top_level(imports(f"speckle_mi.{name}", at_import=False))
 

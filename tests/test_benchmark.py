@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from dataclasses import fields
 
 import numpy as np
 import pytest
 
 from speckle_mi.benchmark import FRESNEL_EPS, QUICK_SCATTERERS, fresnel_sum, main, numba_sum, numpy_sum
+from speckle_mi.benchmark_tables import COSTS
 from speckle_mi.geometry import PlaneGrid
 from speckle_mi.propagation import FreeSpace
+from speckle_mi.propagation.machine import Costs
 from speckle_mi.propagation.reference import reference_sum
 
 WAVELENGTH = 632.8e-6
@@ -69,8 +72,10 @@ def test_quick_benchmark_reports_ours_beside_the_peers(mitsuba, tmp_path, capsys
     assert {"direct kernel", "correlation of a frame", "EXR writing", "start-up and one frame, warm"} <= set(
         content["pieces"]
     )
+    assert set(content["costs"]) == set(COSTS) == {column.name for column in fields(Costs)}
+    assert all(cost["measured"] > 0 for cost in content["costs"].values())
     text = capsys.readouterr().out
-    for word in ("processor", "ours faster by", "billion pairs a second"):
+    for word in ("processor", "ours faster by", "billion pairs a second", "measured / recorded"):
         assert word in text
 
 

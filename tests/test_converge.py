@@ -172,3 +172,29 @@ def test_number_of_point_sources_sets_the_density_of_scatterers(shipped):
 def test_bad_settings_are_refused_by_name(tmp_path, name, value):
     with pytest.raises(ValueError, match=name):
         main([str(SCENES / "tilted_laser.xml"), "--out", str(tmp_path / "out"), name, value])
+
+
+def test_a_mean_is_off_theory_only_where_chance_does_not_explain_it():
+    """Student's t: of 24 surfaces a mean 2 standard errors off is chance, one 5 off is not; of 2, hardly any is."""
+    slopes = np.random.default_rng(3).normal(size=24)
+    slopes = 0.9 + 0.05 * (slopes - slopes.mean()) / slopes.std(ddof=1)
+
+    def scatter(count: int, errors_off: float) -> Scatter:
+        own = slopes[:count] - slopes[:count].mean() + 0.9
+        spread = float(own.std(ddof=1))
+        theory = 0.9 - errors_off * spread / np.sqrt(count)
+        return Scatter("x", "u", "mm/mm", 0.01, 100, own.tolist(), 0.9, spread, theory)
+
+    assert scatter(24, 2.0).off_theory is None
+    assert scatter(24, 5.0).off_theory == pytest.approx(5 * scatter(24, 5.0).error_of_mean)
+    assert scatter(2, 5.0).off_theory is None
+
+
+def test_rays_behind_an_opening_that_diffracts_say_that_they_do_not_apply(mitsuba, tmp_path):
+    """They are measured all the same: the paper's way leaves a tenth of the field wrong, however many rays it takes."""
+    small = ("-D", "width=64", "-D", "height=48", "-D", "pixel_pitch=0.03", "--point-sources", "3", "--seconds", AMPLE)
+    rows, _ = study(tmp_path, "integrated_sensor", *small)
+    rays = measured(rows, "rays", 3)
+    assert len(rays) == 2 and all("does not apply: openings diffract" in row["note"] for row in rays)
+    assert np.all(errors(rays) > 0.1)
+    assert errors(measured(rows, "auto", 3))[-1] < 1e-4

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact_optics import MIRROR, bench, diffracted, disc_nodes, element_xml, rectangle_nodes, spherical, tilted
+from exact_optics import MIRROR, bench, diffracted, disc_nodes, element_xml, facing, rectangle_nodes, rendered, spherical
+from exact_optics import tilted
 from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 
@@ -18,19 +19,6 @@ ENERGY = 0.01  # The promise for power; the sums are far better, the pixels' edg
 REFERENCE = 1e-7  # Change of a reference when its nodes are doubled, relative to the unobstructed field.
 
 
-def facing(z: float, x: float = 0.0, y: float = 0.0, tilt=(0.0, 0.0, 0.0)) -> Frame:
-    frame = detector_frame(direction(0), z)
-    return Frame(frame.origin + [x, y, 0.0], tilted(*tilt) @ frame.axes)
-
-
-def rendered(assemble, text):
-    """(assembly, frame, field (rows, columns) of a unit source)."""
-    assembly = assemble(text)
-    frame = simulate_frame(assembly)
-    assert frame.scatterers.count == 1
-    return assembly, frame, frame.image.field / frame.scatterers.amplitude[0]
-
-
 def through(source, frame, nodes, targets):
     """Field (m,) of a unit source behind one opening with quadrature ``nodes`` in ``frame``."""
     x, y, weight = nodes
@@ -41,10 +29,10 @@ def through(source, frame, nodes, targets):
 
 def check_intensity(field, exact, source, targets):
     free = np.abs(spherical(source, targets, WAVELENGTH)) ** 2
-    worst = np.max(np.abs(np.abs(field.ravel()) ** 2 - np.abs(exact) ** 2) / free)
+    worst = np.max(np.abs(np.abs(field) ** 2 - np.abs(exact) ** 2) / free)
     assert worst <= INTENSITY, worst
     # The phase belongs to it: speckle is made of it.
-    assert np.max(np.abs(field.ravel() - exact) / np.sqrt(free)) <= INTENSITY
+    assert np.max(np.abs(field - exact) / np.sqrt(free)) <= INTENSITY
 
 
 APERTURES = {
@@ -101,7 +89,7 @@ def test_light_behind_a_wide_rectangle_has_fresnels_fringes_at_its_edge(assemble
         return (c[1] - c[0] + 1j * (s[1] - s[0])) / (1 + 1j)
 
     expected = np.abs(side(targets[:, 0]) * side(targets[:, 1])) ** 2
-    measured = np.abs(field.ravel()) ** 2 * (targets**2).sum(axis=1)
+    measured = np.abs(field) ** 2 * (targets**2).sum(axis=1)
     # The next order of the path, k x^4/8 (1/z1^3 + 1/z2^3), is 2.4e-3 rad at the edge.
     assert np.max(np.abs(measured - expected)) <= 1e-2
 
@@ -174,7 +162,7 @@ def test_without_diffraction_an_aperture_casts_a_sharp_shadow_of_undisturbed_lig
     certain = np.abs(clearance) > 1e-6
     exact = np.where(lit, spherical(source, targets, WAVELENGTH), 0)
     assert 100 < lit.sum() < lit.size - 100
-    assert np.max(np.abs(field.ravel() - exact)[certain]) <= 1e-5 / 75
+    assert np.max(np.abs(field - exact)[certain]) <= 1e-5 / 75
     assert any("geometric shadows" in line for line in made.plan)
 
 
@@ -186,7 +174,7 @@ def test_an_aperture_opened_wider_and_wider_leaves_free_space(assemble, tmp_path
     text = bench(tmp_path, source, facing(80, 0.15, 0.1), [xml], pixels=(16, 12), pitch=0.01)
     assembly, made, field = rendered(assemble, text)
     free = spherical(source, assembly.detector.points(), WAVELENGTH)
-    error = np.linalg.norm(field.ravel() - free) / np.linalg.norm(free)
+    error = np.linalg.norm(field - free) / np.linalg.norm(free)
     assert error <= bound, (error, made.plan)
 
 

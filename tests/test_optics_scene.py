@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact_optics import BLACK, DIELECTRIC, MIRROR, Refractor, bench, element_xml, fermat, lens_surfaces, spherical
-from exact_optics import thin_lens_start, tilted
-from scene_builder import detector_frame, direction
+from exact_optics import BLACK, DIELECTRIC, MIRROR, Refractor, bench, element_xml, facing, fermat, lens_surfaces, rendered
+from exact_optics import spherical, thin_lens_start, tilted
 from scipy.optimize import brentq
 
 from speckle_mi import fields, plan, simulate
@@ -21,20 +20,6 @@ INDEX = 1.5151
 LENS_PHASE = 1e-5  # rms, in wavelengths: the promise for traced elements.
 MIRROR_PHASE = 1e-6  # The promise for plane mirrors, which are exact but for double-precision rounding.
 AMPLITUDE = 1e-5  # Relative; amplitudes change slowly, so this is below what the field's tolerance allows.
-
-
-def facing(z: float, x: float = 0.0, y: float = 0.0, tilt=(0.0, 0.0, 0.0)) -> Frame:
-    """A detector that looks down the z axis, turned about its centre."""
-    frame = detector_frame(direction(0), z)
-    return Frame(frame.origin + [x, y, 0.0], tilted(*tilt) @ frame.axes)
-
-
-def rendered(assemble, text):
-    """(assembly, frame, field of each unit source): the illumination is divided out of a single source's field."""
-    assembly = assemble(text)
-    frame = simulate_frame(assembly)
-    assert frame.scatterers.count == 1
-    return assembly, frame, frame.image.field.ravel() / frame.scatterers.amplitude[0]
 
 
 def waves_rms(field, exact) -> float:

@@ -22,8 +22,8 @@ SLOPE = 0.9
 @pytest.fixture
 def drawn(monkeypatch):
     """The figures drawn, in order, besides being written."""
-    figures, write = [], plots._write
-    monkeypatch.setattr(plots, "_write", lambda figure, path: (figures.append(figure), write(figure, path)))
+    figures, write = [], plots.write_picture
+    monkeypatch.setattr(plots, "write_picture", lambda figure, path: (figures.append(figure), write(figure, path)))
     return figures
 
 

@@ -29,7 +29,7 @@ from speckle_mi.propagation import FreeSpace, RayleighSommerfeld, coherent_sum
 from speckle_mi.propagation.reference import reference_sum
 from speckle_mi.simulate import simulate_frame
 
-CHECKED_POINTS = 60
+CHECKED_POINTS = 40
 FREE, MIRRORS, LENSES, OPENINGS = 150, 30, 30, 30
 
 
@@ -206,10 +206,10 @@ def test_scene_of_an_opening_keeps_its_tolerance(assemble, tmp_path, seed):
     half = min(half, 0.2 * before, 0.2 * behind)
     frame = Frame(np.array([*draw.uniform(-0.2, 0.2, 2) * half, before]), tilted(*draw.uniform(-25, 25, 2), 0))
     if draw.uniform() < 0.5:
-        nodes, values = disc_nodes(half, 110, 360), {"radius": float(half)}
+        nodes, values = disc_nodes(half, 180, 480), {"radius": float(half)}
     else:
         other = half * draw.uniform(0.4, 1)
-        nodes = rectangle_nodes(half, other, 170)
+        nodes = rectangle_nodes(half, other, 260)
         values = {"shape": "rectangle", "width": float(2 * half), "height": float(2 * other)}
     pixels = tuple(int(n) for n in draw.integers(2, 80, 2))
     pitch = float(1.5 * half * (1 + behind / before) / max(pixels))
