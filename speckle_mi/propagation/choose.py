@@ -139,7 +139,10 @@ def _first_that_holds(task: Task, costs: Costs, with_pairs: bool) -> SumResult:
 
 @dataclass(frozen=True)
 class Task:
-    """The arguments of a coherent sum, with what several methods need to know about them."""
+    """The arguments of a coherent sum, with what several methods need to know about them.
+
+    path_error: what the path itself, a series, adds to the relative error of any sum over it.
+    """
 
     path: Path
     sources: np.ndarray
@@ -147,6 +150,7 @@ class Task:
     target: PlaneGrid | PlanePoints
     wavelength: float
     tolerance: float
+    path_error: float = 0.0
 
     @cached_property
     def box(self) -> SourceBox:
@@ -157,7 +161,7 @@ class Task:
         if supports(self.path):
             return self
         series = interpolated(self.path, self.box, self.target, self.wavelength, self.tolerance / 20)
-        return self if series is None else replace(self, path=series)
+        return self if series is None else replace(self, path=series, path_error=series.error)
 
     @cached_property
     def nodes(self) -> NodeGrid:
@@ -258,13 +262,14 @@ class Task:
             raise ValueError("a source lies on a point of the target: the field is infinite there, move one of the two")
         places = points_at(self.target, sample.index)
         if supports(self.path) and places.size * len(self.sources) > KERNEL_PAIRS:
-            exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, self.tolerance / 10)
+            # In float64 throughout: the float32 angles of the sum that is judged must not judge themselves.
+            exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, tolerance=0.0)
         else:
             exact = self._reference(places)
         # The scale is the whole field's: a few points of a speckle pattern do not know it.
         scale = sample.mean_square or float(np.mean(np.abs(exact) ** 2)) or 1.0
-        error = float(np.sqrt(np.mean(np.abs(flat[sample.index] - exact) ** 2 / sample.share) / scale))
-        return SumResult(field, f"{candidate.name} ({why})", error)
+        error = np.sqrt(np.mean(np.abs(flat[sample.index] - exact) ** 2 / sample.share) / scale)
+        return SumResult(field, f"{candidate.name} ({why})", float(np.hypot(error, self.path_error)))
 
 
 def _in_parts(evaluate: Callable[[PlanePoints], np.ndarray], target: PlaneGrid | PlanePoints) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,7 +30,8 @@ class InterpolatedPath:
     """Path given by series: calling it gives length and amplitude like any other path.
 
     source_index: which source polynomials the columns of ``target_series`` multiply; the columns hold length, real and
-    imaginary part of the amplitude, one after the other.
+    imaginary part of the amplitude, one after the other. error: largest difference from the path itself that was found,
+    in phase [rad] or relative amplitude.
     """
 
     box: SourceBox
@@ -39,6 +40,7 @@ class InterpolatedPath:
     source_index: np.ndarray
     target_series: TensorSeries
     real: bool
+    error: float = np.inf
 
     def __call__(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Length (n, m) [mm] and amplitude (n, m) between sources (n, 3) and points (m, 3) of the target's plane."""
@@ -75,8 +77,9 @@ def interpolated(
             columns = np.moveaxis(by_source[keep], (3, 0), (2, 3)).reshape(orders[3], orders[4], -1)
             series = TensorSeries.pruned(columns, 0.0)
             found = InterpolatedPath(box, target, rectangle, index[keep], series, not np.iscomplexobj(amplitude))
-            if _agrees(found, path, wavelength, tolerance):
-                return found
+            error = _difference(found, path, wavelength)
+            if error < 10 * tolerance:
+                return replace(found, error=error)
             failing = [axis for axis in range(5) if orders[axis] > 1]
         for axis in failing:
             orders[axis] += 2
@@ -90,7 +93,8 @@ def _significant(by_source: np.ndarray, scale: float, tolerance: float) -> np.nd
     return (largest[:, 0] * scale > 0.01 * tolerance) | (relative > 0.01 * tolerance)
 
 
-def _agrees(found: InterpolatedPath, path: Path, wavelength: float, tolerance: float) -> bool:
+def _difference(found: InterpolatedPath, path: Path, wavelength: float) -> float:
+    """Largest difference in phase [rad] or relative amplitude on random pairs."""
     random = np.random.default_rng(CHECK_SEED)
     sources = found.box.to_world(random.uniform(-1, 1, (CHECKED_PAIRS, 3)))
     places = found.rectangle.points(found.target, random.uniform(-1, 1, (4, 2))).points()
@@ -98,4 +102,4 @@ def _agrees(found: InterpolatedPath, path: Path, wavelength: float, tolerance: f
     near_length, near_amplitude = found(sources, places)
     phase = 2 * np.pi / wavelength * np.abs(length - near_length).max()
     relative = np.abs(amplitude - near_amplitude).max() / np.abs(amplitude).max()
-    return bool(max(phase, relative) < 10 * tolerance)
+    return float(max(phase, relative))
