@@ -19,7 +19,7 @@ from .parameters import SceneError
 from .propagation import FreeSpace, RayleighSommerfeld, SumResult, coherent_sum
 from .ray_method import ray_field
 from .shadows import detector_samples, extremes, has_shadow, is_clear, lit_nodes, lit_pixels, opening_samples, shadowed_sum
-from .shadows import shapes_beside_way
+from .shadows import SHADOWS_ON_DETECTOR, SHADOWS_ON_OPENING, shapes_beside_way
 from .surface import Scatterers
 
 _DARK = 1e-4
@@ -62,7 +62,9 @@ def channel_field(
         values = result.field
         if number == 0:
             if has_shadow(channel, rim, sources, axes):
-                values = _with_shadows_on(nodes, channel, rim, path, sources, weights, values, wavelength, options.method, tolerance)
+                how = wavelength, options.method, tolerance
+                values, shared = _with_shadows_on(nodes, channel, rim, path, sources, weights, values, *how)
+                errors.append(shared)
             values = values * _lobe(assembly, frame, middle, channel, rim, nodes)
         lines.append(f"sum to {rim.name}, {nodes.size} nodes: {result.plan}")
         errors.append(result.numerical_error)
@@ -106,11 +108,12 @@ def ray_channel(
     result = ray_field(sequence, grid, sources, weights, assembly.beam.wavelength, rays)
     values = result.field
     if shapes_beside_way(assembly, channel, extremes(sources, frame.axes)):
-        values, _ = shadowed_sum(
+        values, *_ = shadowed_sum(
             sources,
-            lambda source: lit_pixels(assembly, channel, source, grid, rims=False),
+            lambda source, only: lit_pixels(assembly, channel, source, grid, only, rims=False),
             lambda group, seen: ray_field(sequence, grid, sources[group], weights[group], assembly.beam.wavelength, rays).field[seen],
             values,
+            SHADOWS_ON_DETECTOR,
         )
     values = values * _lobe(assembly, frame, assembly.spot_at(frame)[0], channel, None, grid)
     line = f"rays: {rays} a source, {result.rays_traced} in all, reach {result.covered:.1%} of the pixels"
@@ -178,15 +181,21 @@ def _next_targets(channel: Channel, number: int, grid: PlaneGrid) -> np.ndarray:
 
 def _with_shadows_on(
     nodes: PlanePoints, channel: Channel, rim: Rim, path, sources: np.ndarray, weights: np.ndarray, whole: np.ndarray, *how
-) -> np.ndarray:
-    """The field ``whole`` (n,) at the nodes of the first opening, with the shadows of rims that are not diffracted at."""
+) -> tuple[np.ndarray, float]:
+    """The field at the nodes of the first opening with the shadows of rims that are not diffracted at, and its error.
+
+    whole: (n,) the field without them. The error is that of scatterers that share their shadow.
+    """
     points = nodes.points()
 
     def sum_over(group: np.ndarray, seen: np.ndarray) -> np.ndarray:
         places = replace(nodes, a=nodes.a[seen], b=nodes.b[seen])
         return _summed(channel, path, sources[group], weights[group], places, *how).field
 
-    return shadowed_sum(sources, lambda source: lit_nodes(channel, rim, source, points), sum_over, whole)[0]
+    field, _, error = shadowed_sum(
+        sources, lambda source, _: lit_nodes(channel, rim, source, points), sum_over, whole, SHADOWS_ON_OPENING
+    )
+    return field, error
 
 
 def _shadowed_field(
@@ -202,8 +211,11 @@ def _shadowed_field(
         return _summed(channel, path, sources[group], weights[group], places, *how).field
 
     whole = result.field.reshape(grid.shape)
-    field, share = shadowed_sum(sources, lambda source: lit_pixels(assembly, channel, source, grid), sum_over, whole)
-    return field, f"{result.plan}; {share:.1%} of the pixels in full or partial shadow", result.numerical_error
+    field, share, error = shadowed_sum(
+        sources, lambda source, only: lit_pixels(assembly, channel, source, grid, only), sum_over, whole, SHADOWS_ON_DETECTOR
+    )
+    line = f"{result.plan}; {share:.1%} of the pixels in full or partial shadow"
+    return field, line, float(np.hypot(result.numerical_error, error))
 
 
 def _require_dark(channel: Channel, values: np.ndarray) -> None:

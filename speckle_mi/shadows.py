@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import binary_dilation
 
 from .assembly import Assembly
 from .channel import Channel, Rim, detector_plane
@@ -22,8 +23,11 @@ from .propagation.chebyshev import chebyshev_nodes, interpolation_matrix
 from .routes import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
 
-_SOURCES_WITH_OWN_SHADOW = 64
-"""Up to so many scatterers have each their own shadow; more share those of as many patches of the spot."""
+SHADOWS_ON_DETECTOR, SHADOWS_ON_OPENING = 1024, 64
+"""Most shadows that are told apart: of single scatterers, or of patches of the spot."""
+
+_FEW_SHADOWS, _RIM_PIXELS = 64, 2
+"""Patches whose shadows tell where scatterers differ at all, and by how many pixels more the rest may."""
 
 _SAFE_MARGIN = 0.02
 """Relative clearance 1 - r^2/R^2 of the outermost rays from which on a rim is taken to cast no shadow."""
@@ -69,33 +73,54 @@ def extremes(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
 
 
 def shadowed_sum(
-    sources: np.ndarray, lit_from: Callable[[np.ndarray], np.ndarray], sum_over: Callable[..., np.ndarray], whole: np.ndarray
-) -> tuple[np.ndarray, float]:
-    """A field with every scatterer's shadow in it, and the share of places in full or partial shadow.
+    sources: np.ndarray,
+    lit_from: Callable[[np.ndarray, np.ndarray | None], np.ndarray],
+    sum_over: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    whole: np.ndarray,
+    most: int,
+) -> tuple[np.ndarray, float, float]:
+    """A field with every scatterer's shadow in it, the share of places in shadow, and the error of sharing shadows.
 
-    sources: (n, 3); lit_from(source (3,)) -> bool, of the shape of the field; sum_over(group, places) -> the field of the
-    scatterers with the indices ``group`` at the places (bool) alone, 1-D; whole: the field of all without shadows.
+    sources: (n, 3); lit_from(source (3,), only) -> bool of the shape of the field, right where ``only`` is (None:
+    everywhere); sum_over(group, places) -> the field of the scatterers with the indices ``group`` at the places (bool)
+    alone, 1-D; whole: the field of all without shadows. Up to ``most`` scatterers have each their own shadow, more share
+    those of as many patches of the spot; the error is then what four times fewer patches change, relative L2.
     """
-    groups = _groups(sources)
-    lit = np.array([lit_from(sources[group].mean(axis=0)) for group in groups])
-    everywhere, anywhere = lit.all(axis=0), lit.any(axis=0)
-    field = np.where(everywhere, whole, 0.0)
-    edge = anywhere & ~everywhere
-    if np.any(edge):
-        for group, seen in zip(groups, lit & edge, strict=True):
+    few = [lit_from(sources[group].mean(axis=0), None) for group in _groups(sources, min(most, _FEW_SHADOWS))]
+    mixed = np.any(few, axis=0) & ~np.all(few, axis=0)
+    # Where patches of the spot agree, so do all scatterers, but for a rim of a pixel or so.
+    near = binary_dilation(mixed, iterations=_RIM_PIXELS) if mixed.ndim == 2 else mixed
+    steady = np.where(few[0] & ~near, whole, 0.0)
+    field, share = _with_own_shadows(_groups(sources, most), sources, lit_from, sum_over, steady, whole, near)
+    if len(sources) <= most:
+        return field, share, 0.0
+    coarse, _ = _with_own_shadows(_groups(sources, max(most // 4, 1)), sources, lit_from, sum_over, steady, whole, near)
+    return field, share, float(np.linalg.norm(field - coarse) / max(np.linalg.norm(field), 1e-300))
+
+
+def _with_own_shadows(groups, sources, lit_from, sum_over, steady, whole, near) -> tuple[np.ndarray, float]:
+    """``steady`` with the field at the places ``near`` a shadow's edge, and the share of places in full or partial shadow."""
+    field = steady.copy()
+    if np.any(near):
+        lit = np.array([np.packbits(lit_from(sources[group].mean(axis=0), near)[near]) for group in groups])
+        everywhere = np.unpackbits(np.bitwise_and.reduce(lit, axis=0))[: near.sum()].astype(bool)
+        field[near] = np.where(everywhere, whole[near], 0.0)
+        for group, packed in zip(groups, lit, strict=True):
+            seen = np.zeros_like(near)
+            seen[near] = np.unpackbits(packed)[: near.sum()].astype(bool) & ~everywhere
             if np.any(seen):
                 field[seen] += sum_over(group, seen)
-    return field, float(1 - everywhere.mean())
+    return field, float(np.mean((field != whole) | (whole == 0)))
 
 
-def _groups(sources: np.ndarray) -> list[np.ndarray]:
-    """Index arrays of scatterers that share a shadow: each alone, or patches of a lattice over the spot."""
-    if len(sources) <= _SOURCES_WITH_OWN_SHADOW:
+def _groups(sources: np.ndarray, most: int) -> list[np.ndarray]:
+    """Index arrays of scatterers that share a shadow: each alone, or at most ``most`` patches of a lattice over the spot."""
+    if len(sources) <= most:
         return [np.array([k]) for k in range(len(sources))]
     centred = sources - sources.mean(axis=0)
     axes = np.linalg.eigh(centred.T @ centred)[1][:, ::-1][:, :2]
     place = centred @ axes
-    side = int(np.sqrt(_SOURCES_WITH_OWN_SHADOW))
+    side = int(np.sqrt(most))
     span = np.ptp(place, axis=0)
     cell = np.minimum((place - place.min(axis=0)) / np.where(span > 0, span, 1) * side, side - 1).astype(int)
     label = cell[:, 0] * side + cell[:, 1]
@@ -148,12 +173,14 @@ def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarra
     return _Part.whole(channel), np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
 
 
-def lit_pixels(assembly: Assembly, channel: Channel, source: np.ndarray, grid: PlaneGrid, rims: bool = True) -> np.ndarray:
+def lit_pixels(
+    assembly: Assembly, channel: Channel, source: np.ndarray, grid: PlaneGrid, only: np.ndarray | None = None, rims: bool = True
+) -> np.ndarray:
     """Whether each pixel (rows, columns) is lit from one source (3,): no shape, and no rim, in the way.
 
-    rims: whether these count.
+    only: pixels to look at, all by default; rims: whether these count.
     """
-    return _Part.whole(channel).lit(assembly, source, grid, grid.shape, rims)
+    return _Part.whole(channel).lit(assembly, source, grid, grid.shape, rims, only)
 
 
 @dataclass(frozen=True)
@@ -208,24 +235,30 @@ class _Part:
         """
         return unblocked(assembly, self._touched, self._folded(assembly, points), clear)
 
-    def lit(self, assembly: Assembly, source: np.ndarray, grid: PlaneGrid, shape: tuple[int, int], rims: bool) -> np.ndarray:
+    def lit(
+        self, assembly: Assembly, source: np.ndarray, grid: PlaneGrid, shape: tuple[int, int], rims: bool,
+        only: np.ndarray | None = None,
+    ) -> np.ndarray:
         """Whether places of a detector are lit from one source (3,), bool of ``shape``, from edge pixel to edge pixel.
 
-        Rays and clearances are interpolated from few that are traced.
+        Rays and clearances are interpolated from few that are traced. only: where shapes are looked for, bool of ``shape``.
         """
+        chosen = np.ones(shape, dtype=bool) if only is None else only
+        lit = chosen.copy()
         if not self.interactions:
             targets = _places(grid, *(np.linspace(-1, 1, count) if count > 1 else np.zeros(1) for count in shape))
-            return self.unblocked(assembly, np.stack([np.broadcast_to(source, targets.shape), targets])).reshape(shape)
+            targets = targets[chosen.ravel()]
+            lit[chosen] = self.unblocked(assembly, np.stack([np.broadcast_to(source, targets.shape), targets]))
+            return lit
         nodes = chebyshev_nodes(_NODES)
         targets = _places(grid, nodes, nodes)
         points, margins = self.rays(np.broadcast_to(source, targets.shape), targets)
         rows, columns = (interpolation_matrix(_NODES, np.linspace(-1, 1, count)) for count in shape)
-        lit = np.ones(shape, dtype=bool)
         if rims:
             lit &= np.all(rows @ margins.reshape(-1, _NODES, _NODES) @ columns.T >= 0, axis=0)
         if self.shapes_beside(assembly, points):
             fine = rows @ np.moveaxis(points, 2, 1).reshape(len(points), 3, _NODES, _NODES) @ columns.T
-            lit &= self.unblocked(assembly, np.moveaxis(fine.reshape(len(points), 3, -1), 1, 2)).reshape(shape)
+            lit[chosen] &= self.unblocked(assembly, np.moveaxis(fine[:, :, chosen], 1, 2))
         return lit
 
     @property

@@ -9,6 +9,7 @@ from exact_optics import spherical, thin_lens_start, tilted
 from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 
+from speckle_mi import fields
 from speckle_mi.geometry import Frame
 from speckle_mi.parameters import SceneError
 from speckle_mi.simulate import simulate_frame
@@ -57,6 +58,24 @@ def test_knife_edge_in_free_space_shades_every_scatterer_for_itself(assemble, tm
     places = np.array([crossing(p, targets, 25.0)[:, 0] for p in frame.scatterers.position]) - 0.3
     parts = [c * spherical(p, targets, WAVELENGTH) for p, c in zip(frame.scatterers.position, amplitude, strict=True)]
     check(field, np.array(parts), places < 0, np.abs(places) < EDGE)
+
+
+@pytest.mark.parametrize("most", [1024, 64])
+def test_knife_edge_close_to_a_spot_shades_each_of_many_scatterers_or_tells_the_error(assemble, tmp_path, monkeypatch, most):
+    monkeypatch.setattr(fields, "SHADOWS_ON_DETECTOR", most)
+    rng = np.random.default_rng(3)
+    spot = np.column_stack([rng.normal(0, 0.15, (150, 2)), rng.normal(0, 1e-3, 150)])
+    text = bench(tmp_path, spot, facing(60), [card(0.05, 10.0)], pixels=(60, 16), pitch=0.04, diffraction=False)
+    assembly, frame, field = rendered(assemble, text)
+    targets = assembly.detector.points()
+    exact = np.zeros(len(targets), complex)
+    for p, c in zip(frame.scatterers.position, frame.scatterers.amplitude, strict=True):
+        exact += c * spherical(p, targets, WAVELENGTH) * (crossing(p, targets, 10.0)[:, 0] < 0.05)
+    error = np.linalg.norm(field - exact) / np.linalg.norm(exact)
+    if most >= len(spot):
+        assert error <= FIELD and frame.numerical_error <= FIELD
+    else:
+        assert FIELD < error <= 2 * frame.numerical_error
 
 
 def lens_rays(sources, surfaces, targets, focal_length):
