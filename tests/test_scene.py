@@ -224,3 +224,15 @@ def test_an_unknown_variant_is_refused_with_the_alternatives(mitsuba):
     for name in ("llvm_ad_rgb", "scalar_rgb", "nonsense"):
         with pytest.raises(ValueError, match="llvm_ad_mono"):
             set_variant(name)
+
+
+def test_the_size_of_a_screen_is_part_of_a_scenes_identity(mitsuba):
+    """Plans are kept by it, and a screen that covers more may be in the way of other light."""
+    stop = f'<shape type="aperture" id="stop">{transform(Frame(np.array([0, 0, 40.0]), np.eye(3)))}'
+    hashes = {
+        assembly_from_scene(
+            mitsuba.load_string(free_space(extra=f"{stop}{parameters({'radius': 0.5, 'outer_radius': size})}</shape>"))
+        ).fingerprint()
+        for size in (10.0, 20.0)
+    }
+    assert len(hashes) == 2
