@@ -43,7 +43,7 @@ class Element:
             + [repr(face.outline)]
             for face in self.faces
         ]
-        box = [] if self.faces else [repr(float(x)) for x in (*self.shape.bbox().min, *self.shape.bbox().max)]
+        box = [repr(float(x)) for x in (*self.shape.bbox().min, *self.shape.bbox().max)]
         return [self.name, self.kind, repr(self.index), faces, box]
 
     def faces_at(self, points: np.ndarray) -> np.ndarray:

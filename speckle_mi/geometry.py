@@ -29,6 +29,10 @@ def rotation_matrix(rotation_vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half * half * (cross @ cross)
 
 
+FARTHEST = 1e6
+"""Largest coordinate of a part [mm]; a path of twice as much holds 1e-6 of a wavelength in double precision."""
+
+
 @dataclass(frozen=True)
 class Pose:
     """Displacement of the target from its rest place, in the target frame about its origin.
@@ -47,8 +51,9 @@ class Pose:
     def __post_init__(self) -> None:
         for name in DEGREES_OF_FREEDOM:
             value = getattr(self, name)
-            if not np.isfinite(value):
-                raise ValueError(f"pose {name} = {value}: must be a finite number of {'deg' if is_rotation(name) else 'mm'}")
+            if not abs(value) <= FARTHEST:
+                unit = "deg" if is_rotation(name) else "mm"
+                raise ValueError(f"pose {name} = {value}: must be a finite number of {unit}, at most {FARTHEST:g} in size")
 
     @classmethod
     def parse(cls, text: str) -> Pose:

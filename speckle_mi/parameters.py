@@ -13,14 +13,11 @@ import mitsuba as mi
 import numpy as np
 
 from .backend import arrays
+from .geometry import FARTHEST
 
 _REQUIRED = object()
 RIGID_TOLERANCE = 1e-6
 """Largest deviation of a transform's axes from orthonormal, which leaves room for single-precision input."""
-
-
-FARTHEST = 1e6
-"""Largest coordinate of a part [mm]; a path of twice as much holds 1e-6 of a wavelength in double precision."""
 
 
 class SceneError(ValueError):

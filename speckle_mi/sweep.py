@@ -171,6 +171,8 @@ def _settings(options) -> SweepSettings:
         raise ValueError(
             f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, must be at most {MAX_FRAMES:.0e}"
         )
+    for dof in dofs:
+        Pose(**{dof: options.range / 2})  # says so when that is out of the world
     displacements = np.linspace(-options.range / 2, options.range / 2, options.steps)
     return SweepSettings(dofs, displacements, (), options.window)
 

@@ -22,6 +22,7 @@ def main(kind: str, examples: str, outcomes: str) -> None:
         open(examples, encoding="utf-8") as given,
         open(outcomes, "w", encoding="utf-8") as out,
     ):
+        judge(b"", Path(folder))  # untimed: the first one waits for the imports
         for line in given:
             start = time.perf_counter()
             outcome, message = judge(base64.b64decode(json.loads(line)), Path(folder))

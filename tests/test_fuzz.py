@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
-from test_bad_input import PARTS, scene_with
+from bad_scenes import PARTS, scene_with
 
 from speckle_mi.exr import FieldImage, write_field
 
