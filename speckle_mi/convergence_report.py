@@ -8,7 +8,7 @@ from dataclasses import asdict, fields
 
 import numpy as np
 
-from .convergence_frame import DOES_NOT_APPLY, MEASURED, Row
+from .convergence_frame import DOES_NOT_APPLY, LEFT_OUT, MEASURED, Row
 from .convergence_scatter import Scatter
 from .convergence_study import Study
 from .files import replacing, write_json
@@ -94,6 +94,8 @@ def _notes(rows: list[Row]) -> list[str]:
         applies = group[0].status != DOES_NOT_APPLY
         where = f"{method}, N1 = {count:,}{which}: {group[0].status}, " if applies else ""
         lines.append(where + group[0].note)
+    if any(row.status == LEFT_OUT for row in rows):
+        lines.append("more of what was left out is measured with more --seconds")
     return lines + sorted({f"{row.method}: {row.note}" for row in rows if row.status == MEASURED and row.note})
 
 
