@@ -19,7 +19,6 @@ from .convergence_frame import (
     Row,
     Sample,
     Setting,
-    every_pixel,
     exact_sample,
     peak_memory,
     sampled_pixels,
@@ -60,12 +59,8 @@ LONE = (
 )
 """Why simulated shifts are not those of first-order theory."""
 
-PROBED_PIXELS = 6
-"""Pixels along a side of the detector that tells what tracing the rays costs."""
-SECONDS_A_RAY_PAIR = 1e-7
-"""Of the field that the rays of one source have at one pixel, on frames larger than the processor's cache."""
-PROBE_RAYS = 400
-"""Rays a source by which it is found out whether the method applies: few rays may miss a focal line."""
+PROBE_SOURCES = 0.5
+"""N1 of the frame that tells what the rays of one source cost, and whether the method applies: about five sources."""
 
 
 class Allowance:
@@ -141,7 +136,7 @@ class Study:
 
     def _accuracies(self, method: str) -> list[dict]:
         if method == "rays":
-            # All take about as long; the paper's comes first, so that it is there if only one is.
+            # The paper's comes first, so that it is there if only one is.
             return [{"rays_per_source": n} for n in sorted(self.settings["rays"], key=lambda n: n != PAPER_RAYS)]
         if method == "direct":
             return [{"tolerance": DIRECT_TOLERANCE if self.assembly.elements else None}]
@@ -150,28 +145,25 @@ class Study:
     def _one_method(self, method: str, accuracies: list[dict], advance: Callable[[], None]) -> list[Row]:
         rows: list[Row] = []
         history: dict[int, tuple[int, float]] = {}
-        first = 0.0
         if method == "direct":
-            first = self._nodes * self.assembly.detector.size / PAIRS_PER_SECOND
-        if method == "rays":
-            try:
-                first = self._seconds_of_rays()
-            except ValueError as error:
-                setting = Setting(method, self.point_sources[0], **accuracies[0])
-                return [replace(self._blank(setting), status=DOES_NOT_APPLY, note=one_line(error))]
+            history[0] = (self.point_sources[0], self._nodes * self.assembly.detector.size / PAIRS_PER_SECOND)
         for count in self.point_sources:
             self.allowance.begin_step(1.0 if count == self.point_sources[-1] else SHARE_OF_ONE)
             coarser = 0.0
             for number, accuracy in enumerate(accuracies):
                 setting = Setting(method, count, **accuracy)
                 # The next accuracy is not faster than the one before, whether that was measured or left out.
-                before = history.get(number)
-                expected = _predicted(setting, before, self.assembly.detector.size) if history else first
+                if method == "rays" and number not in history:
+                    try:
+                        history[number] = (count, self._seconds_of_rays(setting))
+                    except ValueError as error:
+                        return [*rows, replace(self._blank(setting), status=DOES_NOT_APPLY, note=one_line(error))]
+                expected = _predicted(setting, history.get(number), self.assembly.detector.size)
                 row = self._one_setting(setting, max(expected, coarser))
                 if row.status == MEASURED:
-                    history[number], coarser = (count, row.seconds_median), row.seconds_median
-                else:
-                    coarser = max(expected, coarser)
+                    history[number] = (count, row.seconds_median)
+                if method != "rays":
+                    coarser = row.seconds_median if row.status == MEASURED else max(expected, coarser)
                 rows.append(row)
                 advance()
                 if row.status == DOES_NOT_APPLY:
@@ -195,17 +187,13 @@ class Study:
         sample = self.samples[setting.point_sources]
         return Row(self.name, "", **asdict(setting), scatterers=sample and sample.scatterers, status=LEFT_OUT)
 
-    def _seconds_of_rays(self) -> float:
-        """What the first frame of rays should take: tracing them to few pixels, and the pairs of sources and pixels.
-
-        Raises ValueError where rays do not apply.
-        """
-        assembly = Setting("rays", self.point_sources[0], rays_per_source=PROBE_RAYS).of(self.assembly)
-        grid = assembly.detector
-        probe = replace(assembly, detector=every_pixel(grid, 0, max(1, max(grid.shape) // PROBED_PIXELS)))
+    def _seconds_of_rays(self, setting: Setting) -> float:
+        """What a frame of rays should take, from one with few sources. Raises ValueError where rays do not apply."""
+        probe = replace(setting, point_sources=min(PROBE_SOURCES, setting.point_sources)).of(self.assembly)
         begin = time.perf_counter()
-        traced = simulate_frame(probe, Pose())
-        return time.perf_counter() - begin + SECONDS_A_RAY_PAIR * traced.scatterers.count * grid.size
+        traced = simulate_frame(probe, Pose()).scatterers.count
+        seconds, sample = time.perf_counter() - begin, self.samples[setting.point_sources]
+        return seconds / max(traced, 1) * (sample.scatterers if sample else traced)
 
     def _measured(self, setting: Setting, blank: Row, sample: Sample) -> Row:
         """The row of a setting: a first frame at rest, warm ones in turn moved and at rest."""
