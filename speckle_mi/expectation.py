@@ -91,8 +91,8 @@ def _pupil_correlation(assembly: Assembly, channel: Channel, dof: str, displacem
         per_motion = _free_space(assembly, plane.frame.origin, u, v)
     else:
         end = Interaction.through(Surface(plane.frame), channel.openings[0].index)
-        middle = _opening_middle(channel)
-        per_motion = _imaged(assembly, _chief_ray(assembly, channel, Sequence((*channel.leg(0), end)), u, v, middle))
+        view = _chief_ray(assembly, channel, Sequence((*channel.leg(0), end)), u, v, _Zones.middle(channel))
+        per_motion = _imaged(assembly, view)
     if per_motion is None:
         return None
     moved = np.linalg.norm(per_motion[:, DEGREES_OF_FREEDOM.index(dof)])
@@ -113,7 +113,7 @@ def _pattern_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | 
     if not channel.has_power:
         return _free_space(assembly, grid.centre, grid.u, grid.v)
     system = Sequence((*channel.interactions, detector_plane(grid)))
-    return _imaged(assembly, _chief_ray(assembly, channel, system, grid.u, grid.v, _opening_zones(channel)))
+    return _imaged(assembly, _chief_ray(assembly, channel, system, grid.u, grid.v, _Zones.over_opening(channel)))
 
 
 def _imaged(assembly: Assembly, view: _ChiefRay | None) -> np.ndarray | None:
@@ -148,13 +148,62 @@ def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | N
 
 
 @dataclass(frozen=True)
+class _Zones:
+    """Places that stand for equal areas of the first opening, and how much the ray through each moves the pattern.
+
+    places: (n, 3) [mm]; weights: (n, 2), for phase slopes along the opening's x and y; axes: (2, 3) these.
+
+    What moves the pattern is the straight line that fits a phase over the opening best. Its slope along x is the mean of
+    the local slopes, the motions of rays' ends, weighted by x_edge^2 - x^2, x_edge the rim at that y: integration
+    by parts of the mean of phase times x.
+    """
+
+    places: np.ndarray
+    weights: np.ndarray
+    axes: np.ndarray
+
+    @classmethod
+    def middle(cls, channel: Channel) -> _Zones:
+        """The opening's middle alone."""
+        return cls(_opening_middle(channel), np.ones((1, 2)), np.eye(3)[:2])
+
+    @classmethod
+    def over_opening(cls, channel: Channel) -> _Zones:
+        """All over the opening; the middle where light is not diffracted."""
+        if not channel.openings:
+            return cls.middle(channel)
+        plane = channel.openings[0].plane
+        if isinstance(plane.outline, Circle):
+            share = np.sqrt((np.arange(_ZONES) + 0.5) / _ZONES)
+            angle = 2 * np.pi * np.arange(2 * _ZONES) / (2 * _ZONES)
+            x, y = (plane.outline.radius * np.outer(share, f(angle)).ravel() for f in (np.cos, np.sin))
+            # x_edge^2 = R^2 - y^2, so that both weights are R^2 - r^2.
+            weight_x = weight_y = np.repeat(1 - share**2, 2 * _ZONES)
+        else:
+            side = (np.arange(_ZONES) + 0.5) / _ZONES * 2 - 1
+            a, b = (values.ravel() for values in np.meshgrid(side, side))
+            x, y, weight_x, weight_y = plane.outline.half_x * a, plane.outline.half_y * b, 1 - a**2, 1 - b**2
+        weights = np.stack([weight_x, weight_y], axis=1)
+        places = plane.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
+        return cls(places, weights / weights.mean(axis=0), plane.frame.axes[:, :2].T)
+
+    def mean(self, motion: np.ndarray, plane: np.ndarray) -> np.ndarray:
+        """The pattern's motion (k, 2) along the columns of ``plane`` (3, 2) from that of the rays' ends (n, k, 2)."""
+        if len(self.places) == 1:
+            return motion[0]
+        turn = self.axes @ plane  # from the opening's axes to the detector's, which need not be parallel
+        local = motion @ np.linalg.inv(turn)
+        return np.mean(local * self.weights[:, None, :], axis=0) @ turn
+
+
+@dataclass(frozen=True)
 class _ChiefRay:
-    """The ray from the spot through the opening's middle, and what its neighbours do, averaged over the opening.
+    """The ray from the spot through the opening's middle, and what its neighbours do, taken together over the opening.
 
     sight: (3,) its direction at the spot; across: (2, 3) unit vectors across it; magnification, lever: (2, 2) motion of
     a ray's end on the detector per shift [mm/mm] and per tilt [mm/rad] of its beginning; distance: to the opening [mm].
-    With spherical aberration the lever is that of the straight line fitted to the rays' ends over all of the opening: a
-    tilt shifts the light across the pupil, and the part of the phase change that is linear there moves the pattern.
+    With aberrations both are those of the part of a phase change that is linear over the opening, see :class:`_Zones`:
+    a tilt shifts the light across the pupil, so that the lever is the straight line fitted to the rays' ends themselves.
     """
 
     sight: np.ndarray
@@ -165,12 +214,12 @@ class _ChiefRay:
 
 
 def _chief_ray(
-    assembly: Assembly, channel: Channel, system: Sequence, u: np.ndarray, v: np.ndarray, places: np.ndarray
+    assembly: Assembly, channel: Channel, system: Sequence, u: np.ndarray, v: np.ndarray, over: _Zones
 ) -> _ChiefRay | None:
-    """The chief ray through ``system``, whose end is measured along u and v, with the rays over ``places`` (n, 3)."""
+    """The chief ray through ``system``, whose end is measured along u and v, with the rays over zones of the opening."""
     spot = assembly.target.spot
     launch = _launch_to(channel, spot[None], _opening_middle(channel))
-    zones = _launch_to(channel, spot[None], places)
+    zones = _launch_to(channel, spot[None], over.places)
     if launch is None or zones is None:
         return None
     sight = launch[0]
@@ -185,8 +234,8 @@ def _chief_ray(
     if not (np.all(np.isfinite(moved)) and np.all(np.isfinite(tilted))):
         return None
     plane = np.stack([u, v], axis=1)
-    moved = (moved @ plane).reshape(len(zones), 4, 2).mean(axis=0)
-    magnification = ((moved[0::2] - moved[1::2]) / (2 * _STEP)).T
+    ends = (moved @ plane).reshape(len(zones), 4, 2)
+    magnification = over.mean((ends[:, 0::2] - ends[:, 1::2]) / (2 * _STEP), plane).T
     # Slopes at the spot: the transverse part of a direction over its part along the chief ray.
     slopes = (zones @ across.T) / (zones @ sight)[:, None]
     lever = _line(slopes, tilted @ plane) if len(zones) > 1 else _lever_of_one(system, spot, sight, across, plane)
@@ -210,21 +259,6 @@ def _lever_of_one(system: Sequence, spot: np.ndarray, sight: np.ndarray, across:
 def _opening_middle(channel: Channel) -> np.ndarray:
     """(1, 3) the middle of the first opening, or of the detector [mm]."""
     return channel.openings[0].plane.frame.origin[None] if channel.openings else channel.grid.centre[None]
-
-
-def _opening_zones(channel: Channel) -> np.ndarray:
-    """Points (n, 3) that stand for equal areas of the first opening [mm]; the middle where light is not diffracted."""
-    if not channel.openings:
-        return _opening_middle(channel)
-    plane = channel.openings[0].plane
-    if isinstance(plane.outline, Circle):
-        radius = plane.outline.radius * np.sqrt((np.arange(_ZONES) + 0.5) / _ZONES)
-        angle = 2 * np.pi * np.arange(2 * _ZONES) / (2 * _ZONES)
-        x, y = np.outer(radius, np.cos(angle)).ravel(), np.outer(radius, np.sin(angle)).ravel()
-    else:
-        side = (np.arange(_ZONES) + 0.5) / _ZONES * 2 - 1
-        x, y = (values.ravel() for values in np.meshgrid(plane.outline.half_x * side, plane.outline.half_y * side))
-    return plane.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
 
 
 def _launch_to(channel: Channel, sources: np.ndarray, places: np.ndarray) -> np.ndarray | None:
