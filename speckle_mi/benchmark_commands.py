@@ -31,29 +31,19 @@ def command_times(folder: Path, scene_xml: str, shape: tuple[int, int], quick: b
     scene = folder / "tilted_laser.xml"
     scene.write_text(scene_xml, encoding="utf-8")
     small = ["-D", f"width={shape[1]}", "-D", f"height={shape[0]}"]
-    render = ["render", str(scene), "-o", str(folder / "f.exr"), "--quiet", *small]
-    runs = [_seconds_and_memory(render)[0] for _ in range(2 if quick else 4)]
+    render = ["render", str(scene), "-o", str(folder / "frame.exr"), "--quiet", "--force"]
+    runs = [_seconds_and_memory([*render, *small])[0] for _ in range(2 if quick else 4)]
     warm = runs[1:]
     found = {"start-up and one frame, warm": {"median": float(np.median(warm)), "q1": min(warm), "q3": max(warm),
              "runs": len(warm), "first": runs[0], "what": "python -m speckle_mi.render"}}  # fmt: skip
     if quick:
         return found
     # Out to where its light ends, the beam lights nine times the area that point_sources are counted in.
-    sweep = [
-        "sweep",
-        str(scene),
-        "--out",
-        str(folder / "sweep"),
-        "--seeds",
-        "1",
-        "--quiet",
-        "-D",
-        "point_sources=11100",
-    ]
+    sweep = ["sweep", str(scene), "--out", str(folder / "sweep"), "--seeds", "1", "--quiet", "-D", "point_sources=11100"]
     seconds, memory = _seconds_and_memory(sweep)
     found["sweep, 61 frames"] = _single(seconds, memory, "of 100,000 scatterers each, cold start")
     large = ["-D", "point_sources=111000", "-D", "width=2000", "-D", "height=2000"]
-    seconds, memory = _seconds_and_memory([*render[:5], *large])
+    seconds, memory = _seconds_and_memory([*render, *large])
     found["render, 4 million pixels"] = _single(seconds, memory, "of 1,000,000 scatterers, cold start")
     return found
 

@@ -118,20 +118,14 @@ def reach_of(
 
 def _slope_directions(path: Path, box: SourceBox, target: PlaneGrid | PlanePoints) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions (q, 3) in the box along which the path's slope on the target grows, and of which axis (q,) it is."""
-    rectangle = Rectangle.around(target)
     faces = box.to_world(np.vstack([np.eye(3), -np.eye(3)]))
-    directions = []
-    for fraction_a, fraction_b in ((0.5, 0.5), (0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)):
-        for axis in (0, 1):
-            ends = []
-            for shift in (-0.02, 0.02):
-                part = np.array([fraction_a, fraction_b])
-                part[axis] += shift
-                ends.append(2 * part - 1)
-            length = path(faces, rectangle.points(target, np.array(ends)).points())[0]
-            slope = length[:, 1] - length[:, 0]
-            directions.append(slope[:3] - slope[3:])
-    directions = np.array(directions)
+    # Pairs of places on either side of the middle and the corners: along u, then along v, of each.
+    middles = np.array([(0.0, 0.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
+    steps = 0.04 * np.array([[(-1.0, 0.0), (1.0, 0.0)], [(0.0, -1.0), (0.0, 1.0)]])
+    places = (middles[:, None, None] + steps).reshape(-1, 2)
+    length = path(faces, Rectangle.around(target).points(target, places).points())[0].reshape(6, -1, 2)
+    slope = length[..., 1] - length[..., 0]
+    directions = (slope[:3] - slope[3:]).T
     norm = np.linalg.norm(directions, axis=1)
     moving = norm > 0
     axes = np.arange(len(directions)) % 2
@@ -220,7 +214,8 @@ def band_limited_sum(
 
 def _common_phasor(path: Path, reference: np.ndarray, places: np.ndarray, wavelength: float) -> np.ndarray:
     turns = path(reference[None], places)[0][0] / wavelength
-    return np.exp(2j * np.pi * (turns - np.round(turns)))
+    angle = 2 * np.pi * (turns - np.round(turns))
+    return np.cos(angle) + 1j * np.sin(angle)
 
 
 def _interpolate_grid(
