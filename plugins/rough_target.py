@@ -121,7 +121,9 @@ class RoughTarget(mi.Mesh):
     def _read_form(self, props: mi.Properties) -> tuple[np.ndarray, np.ndarray]:
         if "filename" in props:
             if "width" in props or "height" in props:
-                raise SceneError(f"{self.where}: has both 'filename' and a size ('width', 'height'), must have one of them")
+                raise SceneError(
+                    f"{self.where}: has both 'filename' and a size ('width', 'height'), must have one of them"
+                )
             vertices, faces = mesh_from_file(resolve(props, "filename"), self.where)
             self.facets = Facets.triangles(vertices[faces])
             if self.facets.count == 0:

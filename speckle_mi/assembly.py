@@ -143,15 +143,22 @@ class Assembly:
             "beam": [_digits(value) for value in (beam.origin, beam.axis, beam.reference)]
             + [repr(value) for value in (beam.radius, beam.wavefront_radius, beam.wavelength)],
             "target": [_digits(target.frame.origin), _digits(target.frame.axes), repr(target.lobe)]
-            + [repr(value) for value in (target.surface.density, target.surface.roughness, target.surface.correlation_length)]
+            + [
+                repr(value)
+                for value in (target.surface.density, target.surface.roughness, target.surface.correlation_length)
+            ]
             + [str(target.shape.bsdf()) if target.lobe else ""]
             + [_hash(facets.origin, facets.e1, facets.e2, facets.bounds, facets.edges)],
             "elements": [element.describe() for element in self.elements],
             "points": None if points is None else _hash(points.points, points.weights),
             "detector": [_digits(grid.origin), _digits(grid.u), _digits(grid.v), repr(grid.pitch), list(grid.shape)],
             "sub_pixels": self.sub_pixels,
-            "options": [self.options.method, repr(self.options.tolerance), self.options.diffraction,
-                        self.options.rays_per_source],
+            "options": [
+                self.options.method,
+                repr(self.options.tolerance),
+                self.options.diffraction,
+                self.options.rays_per_source,
+            ],
         }
 
 
@@ -172,7 +179,9 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
         raise SceneError(f"the scene's integrator is {found}, must be <integrator type=\"coherent\"/>")
     for emitter in scene.emitters():
         if emitter is not laser:
-            raise SceneError(f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: its light would be left out, remove it")
+            raise SceneError(
+                f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: its light would be left out, remove it"
+            )
     _require_memory(detector)
     elements = tuple(elements_of(scene, target))
     beam, target = _aim(laser.beam(), target)

@@ -74,7 +74,11 @@ def _beam_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -
     across = [
         np.linalg.norm(
             theory.beam_displacement_of_material(
-                Pose(**{dof: float(displacement)}), target.spot, target.frame.origin, target.frame.axes, -assembly.beam.axis
+                Pose(**{dof: float(displacement)}),
+                target.spot,
+                target.frame.origin,
+                target.frame.axes,
+                -assembly.beam.axis,
             )
         )
         for displacement in displacements
@@ -104,7 +108,15 @@ def _free_space(assembly: Assembly, place: np.ndarray, u: np.ndarray, v: np.ndar
     """(2, 6) displacement [mm/mm, mm/rad] of the free-space pattern at a place, along u and v."""
     target, beam = assembly.target, assembly.beam
     return theory.first_order_displacement(
-        target.spot, target.frame.origin, target.frame.axes, -beam.axis, beam.wavefront_radius, place, u, v, target.spot_normal
+        target.spot,
+        target.frame.origin,
+        target.frame.axes,
+        -beam.axis,
+        beam.wavefront_radius,
+        place,
+        u,
+        v,
+        target.spot_normal,
     )
 
 
@@ -141,7 +153,9 @@ def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | N
             target.spot, target.frame.origin, target.frame.axes, -beam.axis, channel.openings[0].plane.frame.origin,
             channel.grid.centre, channel.grid.u, channel.grid.v, target.spot_normal,
         )
-    slide = theory.spot_displacement(target.spot, target.frame.origin, target.frame.axes, -beam.axis, target.spot_normal)
+    slide = theory.spot_displacement(
+        target.spot, target.frame.origin, target.frame.axes, -beam.axis, target.spot_normal
+    )
     steps = np.concatenate([[np.zeros(3)], _STEP * np.eye(3)])
     landing = _landings_through_opening(assembly, channel, target.spot + steps)
     return None if landing is None else ((landing[1:] - landing[0]) / _STEP).T @ slide
@@ -200,7 +214,9 @@ def _line(slopes: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return fitted[:2].T
 
 
-def _lever_of_one(system: Sequence, spot: np.ndarray, sight: np.ndarray, across: np.ndarray, plane: np.ndarray) -> np.ndarray:
+def _lever_of_one(
+    system: Sequence, spot: np.ndarray, sight: np.ndarray, across: np.ndarray, plane: np.ndarray
+) -> np.ndarray:
     """(2, 2) motion of one ray's end per tilt [mm/rad], where no opening limits the light."""
     tilts = np.concatenate([np.outer([1.0, -1.0], a) for a in across]) * _STEP
     ends = trace(system, np.broadcast_to(spot, tilts.shape), sight + tilts).points[-1] @ plane

@@ -108,7 +108,9 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
             return channels, dict(file.header())  # the file empties its own when it is closed
     except Exception as error:  # the reader raises RuntimeError, ValueError and others of its own
-        raise FieldImageError(f"{path}: cannot be read, the file is damaged or cut short ({_first_line(error)})") from None
+        raise FieldImageError(
+            f"{path}: cannot be read, the file is damaged or cut short ({_first_line(error)})"
+        ) from None
 
 
 @contextmanager

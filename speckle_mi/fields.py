@@ -18,7 +18,16 @@ from .optics.surfaces import Circle, Interaction, Sequence, Surface
 from .parameters import SceneError
 from .propagation import FreeSpace, RayleighSommerfeld, SumResult, coherent_sum
 from .ray_method import ray_field
-from .shadows import detector_samples, extremes, has_shadow, is_clear, lit_nodes, lit_pixels, opening_samples, shadowed_sum
+from .shadows import (
+    detector_samples,
+    extremes,
+    has_shadow,
+    is_clear,
+    lit_nodes,
+    lit_pixels,
+    opening_samples,
+    shadowed_sum,
+)
 from .shadows import SHADOWS_ON_DETECTOR, SHADOWS_ON_OPENING, shapes_beside_way
 from .surface import Scatterers
 
@@ -111,7 +120,9 @@ def ray_channel(
         values, *_ = shadowed_sum(
             sources,
             lambda source, only: lit_pixels(assembly, channel, source, grid, only, rims=False),
-            lambda group, seen: ray_field(sequence, grid, sources[group], weights[group], assembly.beam.wavelength, rays).field[seen],
+            lambda group, seen: ray_field(
+                sequence, grid, sources[group], weights[group], assembly.beam.wavelength, rays
+            ).field[seen],
             values,
             SHADOWS_ON_DETECTOR,
         )
@@ -132,7 +143,13 @@ def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: 
 
 
 def _nodes(
-    channel: Channel, number: int, rim: Rim, sources: np.ndarray, targets: np.ndarray, wavelength: float, tolerance: float
+    channel: Channel,
+    number: int,
+    rim: Rim,
+    sources: np.ndarray,
+    targets: np.ndarray,
+    wavelength: float,
+    tolerance: float,
 ) -> tuple[PlanePoints, np.ndarray]:
     """Nodes and areas on an opening that resolve the phase of all light from sources to targets over it."""
     samples = opening_samples(rim.plane)
@@ -165,7 +182,11 @@ def _nodes(
     largest = float(length.max())
     grows_evenly = np.all(length <= (tilt + (largest - tilt) * radius / outline.radius) * _GRADIENT_SAFETY + 1e-9)
     return opening_nodes(
-        outline, rim.plane.frame, _GRADIENT_SAFETY * largest, tolerance, _GRADIENT_SAFETY * tilt if grows_evenly else None
+        outline,
+        rim.plane.frame,
+        _GRADIENT_SAFETY * largest,
+        tolerance,
+        _GRADIENT_SAFETY * tilt if grows_evenly else None,
     )
 
 
@@ -180,7 +201,14 @@ def _next_targets(channel: Channel, number: int, grid: PlaneGrid) -> np.ndarray:
 
 
 def _with_shadows_on(
-    nodes: PlanePoints, channel: Channel, rim: Rim, path, sources: np.ndarray, weights: np.ndarray, whole: np.ndarray, *how
+    nodes: PlanePoints,
+    channel: Channel,
+    rim: Rim,
+    path,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    whole: np.ndarray,
+    *how,
 ) -> tuple[np.ndarray, float]:
     """The field at the nodes of the first opening with the shadows of rims that are not diffracted at, and its error.
 
@@ -212,7 +240,11 @@ def _shadowed_field(
 
     whole = result.field.reshape(grid.shape)
     field, share, error = shadowed_sum(
-        sources, lambda source, only: lit_pixels(assembly, channel, source, grid, only), sum_over, whole, SHADOWS_ON_DETECTOR
+        sources,
+        lambda source, only: lit_pixels(assembly, channel, source, grid, only),
+        sum_over,
+        whole,
+        SHADOWS_ON_DETECTOR,
     )
     line = f"{result.plan}; {share:.1%} of the pixels in full or partial shadow"
     return field, line, float(np.hypot(result.numerical_error, error))
@@ -231,7 +263,12 @@ def _require_dark(channel: Channel, values: np.ndarray) -> None:
 
 
 def _lobe(
-    assembly: Assembly, frame: Frame, middle: np.ndarray, channel: Channel, rim: Rim | None, places: PlaneGrid | PlanePoints
+    assembly: Assembly,
+    frame: Frame,
+    middle: np.ndarray,
+    channel: Channel,
+    rim: Rim | None,
+    places: PlaneGrid | PlanePoints,
 ) -> np.ndarray | float:
     """Amplitude of the target's radiation along the rays from the spot's middle to places, 1.0 for even radiation."""
     if not assembly.target.lobe:

@@ -53,7 +53,9 @@ class Pose:
             value = getattr(self, name)
             if not abs(value) <= FARTHEST:
                 unit = "deg" if is_rotation(name) else "mm"
-                raise ValueError(f"pose {name} = {value}: must be a finite number of {unit}, at most {FARTHEST:g} in size")
+                raise ValueError(
+                    f"pose {name} = {value}: must be a finite number of {unit}, at most {FARTHEST:g} in size"
+                )
 
     @classmethod
     def parse(cls, text: str) -> Pose:
@@ -63,13 +65,17 @@ class Pose:
             name, _, value = item.partition("=")
             name = name.strip()
             if name not in DEGREES_OF_FREEDOM:
-                raise ValueError(f"pose {item!r}: unknown degree of freedom {name!r}, must be one of {', '.join(DEGREES_OF_FREEDOM)}")
+                raise ValueError(
+                    f"pose {item!r}: unknown degree of freedom {name!r}, must be one of {', '.join(DEGREES_OF_FREEDOM)}"
+                )
             if name in values:
                 raise ValueError(f"pose {text!r}: {name} is given twice")
             try:
                 values[name] = float(value)
             except ValueError:
-                raise ValueError(f"pose {item!r}: {value!r} is not a number, write for example x=0.02,ry=0.01") from None
+                raise ValueError(
+                    f"pose {item!r}: {value!r} is not a number, write for example x=0.02,ry=0.01"
+                ) from None
         return cls(**values)
 
     def __str__(self) -> str:

@@ -41,10 +41,14 @@ def check_number(
         limits.append(f"at most {at_most:g}{unit}")
     wanted = " and ".join(limits) if limits else f"a number{unit and f' in{unit}'}"
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise SceneError(f"{where}: parameter {name!r} is {value!r}, must be a number {wanted if limits else ''}".rstrip())
+        raise SceneError(
+            f"{where}: parameter {name!r} is {value!r}, must be a number {wanted if limits else ''}".rstrip()
+        )
     number = float(value)
     if math.isnan(number) or (math.isinf(number) and not infinite):
-        raise SceneError(f"{where}: parameter {name!r} is {number}, must be finite" + (f" and {wanted}" if limits else ""))
+        raise SceneError(
+            f"{where}: parameter {name!r} is {number}, must be finite" + (f" and {wanted}" if limits else "")
+        )
     if infinite and number == math.inf:
         return number
     outside = (

@@ -61,7 +61,9 @@ def make_plan(assembly: Assembly, frame: Frame) -> Plan:
     arrivals = find_routes(assembly)
     if not arrivals.routes:
         blocker = _main_blocker(arrivals.stopped)
-        return Plan((), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",))
+        return Plan(
+            (), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",)
+        )
     channels = tuple(_channel(assembly, frame, route) for route in arrivals.routes)
     lines = [line for channel in channels for line in channel.lines]
     if arrivals.in_area:
@@ -121,7 +123,9 @@ def _edges_beside(assembly: Assembly, channel: Channel, spots: np.ndarray) -> li
             "computed: put an aperture with the free part as its hole in its place, move it out of the light, or set "
             "diffraction to false for its geometric shadow"
         )
-    return [f"left out: the wave of the edge of {named}, which stands beside the light (at most {wave:.1%} of the field)"]
+    return [
+        f"left out: the wave of the edge of {named}, which stands beside the light (at most {wave:.1%} of the field)"
+    ]
 
 
 def _mirror_line(route: Route) -> list[str]:
@@ -188,7 +192,10 @@ def _spot_samples(assembly: Assembly, frame: Frame) -> np.ndarray:
     target = assembly.target
     if target.points is not None:
         places = frame.to_world(target.points.points)
-        return np.unique(np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]), axis=0)
+        return np.unique(
+            np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
+            axis=0,
+        )
     size = assembly.beam.cutoff if np.isfinite(assembly.beam.radius) else np.inf
     size = min(size, 0.5 * float(np.ptp(target.surface.facets.bounds)))
     spot, _ = assembly.spot_at(frame)

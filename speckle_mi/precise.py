@@ -82,7 +82,9 @@ def precise_transform(shape, target) -> np.ndarray:
 
 
 def _equal_but_for_rounding(exact: np.ndarray, rounded: np.ndarray) -> bool:
-    return bool(np.all(np.isfinite(rounded))) and bool(np.allclose(exact, rounded, rtol=1e-6, atol=1e-6 * np.abs(rounded).max()))
+    return bool(np.all(np.isfinite(rounded))) and bool(
+        np.allclose(exact, rounded, rtol=1e-6, atol=1e-6 * np.abs(rounded).max())
+    )
 
 
 def _of_cube(shape, known: np.ndarray | None) -> np.ndarray:

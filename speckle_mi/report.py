@@ -75,7 +75,9 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
 
 def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, result: SweepResult, summary: dict) -> None:
     """Writes the speckle image, the decorrelation curves and, for every motion, the shifts along its main axes."""
-    plot_speckle(folder / "speckle.png", result.example, assembly.detector.pitch, f"Surface {settings.seeds[0]} at rest")
+    plot_speckle(
+        folder / "speckle.png", result.example, assembly.detector.pitch, f"Surface {settings.seeds[0]} at rest"
+    )
     plot_decorrelation(
         folder / "decorrelation.png",
         {dof: settings.displacements for dof in settings.dofs},

@@ -211,7 +211,11 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
     first /= np.linalg.norm(first)
     second = np.cross(normal, first)
-    around = (ring * np.cos(azimuth))[:, None] * first + (ring * np.sin(azimuth))[:, None] * second + height[:, None] * normal
+    around = (
+        (ring * np.cos(azimuth))[:, None] * first
+        + (ring * np.sin(azimuth))[:, None] * second
+        + height[:, None] * normal
+    )
     directions = np.concatenate([towards, around])
     length = np.linalg.norm(directions, axis=1)
     directions = directions[length > 0] / length[length > 0, None]
@@ -285,7 +289,10 @@ def _pass_openings(elements: tuple[Element, ...], rays: _Rays, index: np.ndarray
 
 def _next_shapes(assembly: Assembly, rays: _Rays, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Number of the element each ray meets next, or TARGET or NOTHING, and its distance [mm]."""
-    single = [np.ascontiguousarray(rays.origin[index].T, np.float32), np.ascontiguousarray(rays.direction[index].T, np.float32)]
+    single = [
+        np.ascontiguousarray(rays.origin[index].T, np.float32),
+        np.ascontiguousarray(rays.direction[index].T, np.float32),
+    ]
     ray = mi.Ray3f(mi.Point3f(*map(mi.Float, single[0])), mi.Vector3f(*map(mi.Float, single[1])))
     hit = assembly.obstacles.ray_intersect_preliminary(ray)
     distance = np.array(hit.t, dtype=np.float64)
@@ -297,7 +304,9 @@ def _next_shapes(assembly: Assembly, rays: _Rays, index: np.ndarray) -> tuple[np
     return number, distance
 
 
-def _distance_to_detector(assembly: Assembly, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _distance_to_detector(
+    assembly: Assembly, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Distance [mm] to the detector's plane along rays that come from its front, else inf; and whether in its area."""
     grid = assembly.detector
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -362,7 +371,9 @@ def _interact(element: Element, number: int, face: int, within: bool, rays: _Ray
     _go_on(element, (number, face, interaction.action), interaction, rays, index, inside)
 
 
-def _go_on(element: Element, step: tuple, interaction: Interaction, rays: _Rays, index: np.ndarray, inside: int) -> None:
+def _go_on(
+    element: Element, step: tuple, interaction: Interaction, rays: _Rays, index: np.ndarray, inside: int
+) -> None:
     """Moves rays through an interaction; ``inside`` is the glass they are in afterwards, -2 for the same as before."""
     if not len(index):
         return

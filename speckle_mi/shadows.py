@@ -60,7 +60,9 @@ def opening_samples(plane: Surface) -> np.ndarray:
 def detector_samples(grid: PlaneGrid) -> np.ndarray:
     """World points (25, 3) over the detector, edges included."""
     side = np.linspace(-1, 1, 5)
-    return _places(grid, side * grid.shape[0] / max(grid.shape[0] - 1, 1), side * grid.shape[1] / max(grid.shape[1] - 1, 1))
+    return _places(
+        grid, side * grid.shape[0] / max(grid.shape[0] - 1, 1), side * grid.shape[1] / max(grid.shape[1] - 1, 1)
+    )
 
 
 def extremes(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -174,7 +176,12 @@ def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarra
 
 
 def lit_pixels(
-    assembly: Assembly, channel: Channel, source: np.ndarray, grid: PlaneGrid, only: np.ndarray | None = None, rims: bool = True
+    assembly: Assembly,
+    channel: Channel,
+    source: np.ndarray,
+    grid: PlaneGrid,
+    only: np.ndarray | None = None,
+    rims: bool = True,
 ) -> np.ndarray:
     """Whether each pixel (rows, columns) is lit from one source (3,): no shape, and no rim, in the way.
 
@@ -206,7 +213,11 @@ class _Part:
         count = len(channel.interactions)
         first, last = start.position if start else 0, end.position if end else count
         # An opening is a place of its own: its plane is not passed a second time.
-        inner = [i for i in range(first, last) if not (start and i == start.number and channel.interactions[i].action == "pass")]
+        inner = [
+            i
+            for i in range(first, last)
+            if not (start and i == start.number and channel.interactions[i].action == "pass")
+        ]
         places = (start.number + 1 if start else 0, *(i + 1 for i in inner), end.number + 1 if end else count + 1)
         plane = Interaction.through(Surface(end.plane.frame), end.index) if end else detector_plane(channel.grid)
         return cls(channel, places, tuple(channel.interactions[i] for i in inner), plane)
@@ -270,7 +281,10 @@ class _Part:
     def _folded(self, assembly: Assembly, points: np.ndarray) -> np.ndarray:
         """Points (p, n, 3) of rays where they are in the scene."""
         seen = [*(i.surface.frame for i in self.channel.interactions), detector_plane(self.channel.grid).surface.frame]
-        real = [*(i.surface.frame for i in self.channel.route.interactions), detector_plane(assembly.detector).surface.frame]
+        real = [
+            *(i.surface.frame for i in self.channel.route.interactions),
+            detector_plane(assembly.detector).surface.frame,
+        ]
         folded = np.array(points)
         for row, place in enumerate(self.places):
             if place > 0:
@@ -280,7 +294,9 @@ class _Part:
 
 def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
     """World points (m n, 3) on the detector, row by row, at shares (m,), (n,) of the way from its middle to the edge pixels."""
-    a, b = (0.5 * grid.pitch * (count - 1) * share for count, share in zip(grid.shape[::-1], (along, down), strict=True))
+    a, b = (
+        0.5 * grid.pitch * (count - 1) * share for count, share in zip(grid.shape[::-1], (along, down), strict=True)
+    )
     return (grid.centre + b[:, None, None] * grid.v + a[None, :, None] * grid.u).reshape(-1, 3)
 
 
@@ -309,7 +325,9 @@ def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.n
     clearance = np.full((len(rows), len(points)), -1.0)
     reached = np.flatnonzero(before.converged)
     # Where the ray goes on behind the opening decides about the rims there.
-    whole = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), source[reached], before.launch[reached])
+    whole = trace(
+        Sequence((*channel.interactions, detector_plane(channel.grid))), source[reached], before.launch[reached]
+    )
     alive = whole.status <= RayStatus.OUTSIDE_OUTLINE
     clearance[:, reached[alive]] = whole.margins[np.ix_(rows, alive)]
     return clearance
@@ -338,5 +356,7 @@ def hidden_pixels(assembly: Assembly, channel: Channel) -> np.ndarray | None:
     hidden = ~np.all([part.lit(assembly, start, grid, shape, rims=True) for start in outer], axis=0)
     if not np.any(hidden):
         return None
-    rows, columns = (np.rint(np.linspace(0, few - 1, count)).astype(int) for few, count in zip(shape, grid.shape, strict=True))
+    rows, columns = (
+        np.rint(np.linspace(0, few - 1, count)).astype(int) for few, count in zip(shape, grid.shape, strict=True)
+    )
     return hidden[np.ix_(rows, columns)]

@@ -201,7 +201,9 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
             f"must be at most {MAX_CELLS:.0e}: reduce point_sources or the lit area"
         )
     start = np.concatenate([[0], np.cumsum(count)[:-1]]) if len(count) else np.zeros(0)
-    return _Cells(np.flatnonzero(meets), first.astype(np.int64), size.astype(np.int64), start.astype(np.int64), int(total))
+    return _Cells(
+        np.flatnonzero(meets), first.astype(np.int64), size.astype(np.int64), start.astype(np.int64), int(total)
+    )
 
 
 def _footprint(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarray, np.ndarray]:

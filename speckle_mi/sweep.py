@@ -141,11 +141,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _parser():
     parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
-    parser.add_argument("--dof", default=",".join(DEGREES_OF_FREEDOM), metavar="x,y,z,rx,ry,rz", help="motions to sweep")
-    parser.add_argument("--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)")
+    parser.add_argument(
+        "--dof", default=",".join(DEGREES_OF_FREEDOM), metavar="x,y,z,rx,ry,rz", help="motions to sweep"
+    )
+    parser.add_argument(
+        "--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)"
+    )
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
     parser.add_argument("--seeds", type=int, default=8, help="number of surfaces (default: %(default)s)")
-    parser.add_argument("--window", type=int, default=None, help="side of the correlation window, px (default: 256; the paper's: 64)")
+    parser.add_argument(
+        "--window", type=int, default=None, help="side of the correlation window, px (default: 256; the paper's: 64)"
+    )
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
     add_force(parser)
     return parser
@@ -207,7 +213,12 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
         raise ValueError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     if force:
-        for stale in (*folder.glob("frames/*.exr"), *folder.glob("*.png"), folder / "summary.json", folder / "sweep.csv"):
+        for stale in (
+            *folder.glob("frames/*.exr"),
+            *folder.glob("*.png"),
+            folder / "summary.json",
+            folder / "sweep.csv",
+        ):
             stale.unlink(missing_ok=True)
     write_json(settings_file, identity)
 

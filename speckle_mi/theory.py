@@ -190,7 +190,11 @@ def centre_of_gravity_aperture(
 
 
 def spot_displacement(
-    spot: np.ndarray, origin: np.ndarray, axes: np.ndarray, source_direction: np.ndarray, normal: np.ndarray | None = None
+    spot: np.ndarray,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    source_direction: np.ndarray,
+    normal: np.ndarray | None = None,
 ) -> np.ndarray:
     """(3, 6) displacement of the laser's spot along the fixed beam axis, dS = l_S (n . a)/(n . l_S), world.
 
@@ -236,7 +240,9 @@ def decorrelation_axial(
     """
     curvature = 1 / require_positive("detector_distance", detector_distance) ** 2 + _curvature(wavefront_radius) ** 2
     wavenumber = 2 * np.pi / require_positive("wavelength", wavelength)
-    phase = wavenumber * require_positive("beam_radius", beam_radius) ** 2 / 4 * np.asarray(motion, np.float64) * curvature
+    phase = (
+        wavenumber * require_positive("beam_radius", beam_radius) ** 2 / 4 * np.asarray(motion, np.float64) * curvature
+    )
     return 1 / (1 + phase**2)
 
 
@@ -302,7 +308,9 @@ def speckle_shape_gaussian_beam(
     if abs(to_laser @ normal) < GRAZING_COSINE:
         raise ValueError(f"grazing illumination: source_direction {_text(to_laser)} lies in the surface, must leave it")
     tangents = _tangents(normal)
-    footprint = require_positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(tangents @ _across(to_laser) @ tangents.T)
+    footprint = require_positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(
+        tangents @ _across(to_laser) @ tangents.T
+    )
     gradient = tangents @ _across(sight / distance) @ _detector_axes(u, v) / distance
     return (np.pi / require_positive("wavelength", wavelength)) ** 2 * gradient.T @ footprint @ gradient
 
@@ -338,7 +346,9 @@ def shift_scatter(
     """
     correlation = np.asarray(correlation, dtype=np.float64)
     lost = np.where(correlation > 0, (1 - correlation) / np.where(correlation > 0, correlation, 1.0), np.inf)
-    scale = factor * require_positive("speckle_size_px", speckle_size_px) ** 2 / require_positive("window_px", window_px)
+    scale = (
+        factor * require_positive("speckle_size_px", speckle_size_px) ** 2 / require_positive("window_px", window_px)
+    )
     return scale * np.sqrt(np.maximum(lost, 0.0))
 
 

@@ -105,7 +105,9 @@ def _across(heading: np.ndarray, distance: float) -> np.ndarray:
     first = np.cross(heading, np.eye(3)[np.argmin(np.abs(heading))])
     second = np.cross(heading, first)
     angle = np.pi / 4 * np.arange(8)
-    circle = np.outer(np.cos(angle), first / np.linalg.norm(first)) + np.outer(np.sin(angle), second / np.linalg.norm(second))
+    circle = np.outer(np.cos(angle), first / np.linalg.norm(first)) + np.outer(
+        np.sin(angle), second / np.linalg.norm(second)
+    )
     return distance * circle
 
 
@@ -132,7 +134,11 @@ def _beside(
 ) -> list[tuple[str, mi.Shape, Element | None]]:
     """Name, shape and element of what is in the box around segments from start to end (n, 3) and touches neither end."""
     low, high = (f(np.minimum(start, end) if f is np.min else np.maximum(start, end), axis=0) for f in (np.min, np.max))
-    shapes = [(element.name, element.shape, element) for number, element in enumerate(assembly.elements) if number not in (one, two)]
+    shapes = [
+        (element.name, element.shape, element)
+        for number, element in enumerate(assembly.elements)
+        if number not in (one, two)
+    ]
     if assembly.target.points is None and TARGET not in (one, two):
         shapes.append(("target", assembly.target.shape, None))
     found = []

@@ -54,7 +54,10 @@ def lens_surfaces(origin, axes, radius1, radius2, thickness, index, conic1=0.0, 
         return 1 / radius if radius else 0.0
 
     back = origin + thickness * axes[:, 2]
-    return [Refractor(origin, axes, curvature(radius1), conic1, index), Refractor(back, axes, curvature(radius2), conic2, 1.0)]
+    return [
+        Refractor(origin, axes, curvature(radius1), conic1, index),
+        Refractor(back, axes, curvature(radius2), conic2, 1.0),
+    ]
 
 
 def _length(vector):
@@ -144,7 +147,11 @@ def disc_nodes(radius, rings, spokes):
     t, w = roots_legendre(rings)
     r, w = radius * (t + 1) / 2, radius * w / 2
     angle = 2 * np.pi * np.arange(spokes) / spokes
-    return np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel(), np.repeat(w * r * 2 * np.pi / spokes, spokes)
+    return (
+        np.outer(r, np.cos(angle)).ravel(),
+        np.outer(r, np.sin(angle)).ravel(),
+        np.repeat(w * r * 2 * np.pi / spokes, spokes),
+    )
 
 
 def rectangle_nodes(half_x, half_y, count):

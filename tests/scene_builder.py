@@ -65,7 +65,11 @@ def target_xml(frame: Frame = WORLD, bsdf: str = "", **values) -> str:
 
 
 def detector_xml(frame: Frame, width: int = 64, height: int = 48, pixel_pitch: float = 0.006, samples: int = 1) -> str:
-    sampler = f'<sampler type="independent"><integer name="sample_count" value="{samples}"/></sampler>' if samples != 1 else ""
+    sampler = (
+        f'<sampler type="independent"><integer name="sample_count" value="{samples}"/></sampler>'
+        if samples != 1
+        else ""
+    )
     return (
         f'<sensor type="detector" id="detector">{transform(frame)}{parameters({"pixel_pitch": pixel_pitch})}'
         f'<film type="hdrfilm">{parameters({"width": width, "height": height})}</film>{sampler}</sensor>'

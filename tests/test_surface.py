@@ -173,7 +173,9 @@ def test_nothing_lies_outside_the_patch_and_the_beam():
 
 
 def test_uniform_laser_lights_the_whole_patch_with_point_sources(assemble):
-    assembly = assemble(free_space(laser={"beam_radius": None}, target={"point_sources": 2500, "width": 1.0, "height": 2.0}))
+    assembly = assemble(
+        free_space(laser={"beam_radius": None}, target={"point_sources": 2500, "width": 1.0, "height": 2.0})
+    )
     scatterers = simulate_frame(assembly).scatterers
     assert scatterers.count == pytest.approx(2500, abs=SIGMAS * np.sqrt(2500))
     np.testing.assert_allclose(np.abs(scatterers.amplitude), 1.0, atol=1e-12)
@@ -184,7 +186,9 @@ def test_uniform_laser_lights_the_whole_patch_with_point_sources(assemble):
 
 
 def test_heights_are_gaussian_with_the_rms_roughness():
-    heights = illuminated_scatterers(patch(20_000.0, roughness=0.8e-3, width=1), normal_beam(np.inf), WORLD).position[:, 2]
+    heights = illuminated_scatterers(patch(20_000.0, roughness=0.8e-3, width=1), normal_beam(np.inf), WORLD).position[
+        :, 2
+    ]
     n = len(heights)
     assert stats.kstest(heights / 0.8e-3, "norm").statistic < KS_999 / np.sqrt(n)
     assert heights.std() == pytest.approx(0.8e-3, rel=SIGMAS / np.sqrt(2 * n))
@@ -222,7 +226,9 @@ def test_correlated_heights_have_a_gaussian_autocorrelation(facets):
     bins = np.linspace(0, 2.5, 11)
     measured, variance = [], []
     for seed in range(seeds):
-        places = illuminated_scatterers(RoughSurface(form, 40_000.0, rms, length, seed), normal_beam(np.inf), WORLD).position
+        places = illuminated_scatterers(
+            RoughSurface(form, 40_000.0, rms, length, seed), normal_beam(np.inf), WORLD
+        ).position
         measured.append(_autocorrelation(places, length, bins) / rms**2)
         variance.append(places[:, 2].var() / rms**2)
     # Independent patches of the surface: area over the integral pi l^2/2 of the squared autocorrelation.
@@ -321,7 +327,9 @@ def test_a_plane_mesh_scatters_like_the_plane_patch(assemble, tmp_path, suffix):
         assert stats.kstest(np.sum(scaled**2, axis=1), "uniform").statistic < KS_999 / np.sqrt(total)
         angle = np.arctan2(scaled[:, 1], scaled[:, 0]) / (2 * np.pi) + 0.5
         assert stats.kstest(angle, "uniform").statistic < KS_999 / np.sqrt(total)
-        np.testing.assert_allclose(np.concatenate([s.normal for s in found]), np.tile([0, 0, 1.0], (total, 1)), atol=1e-6)
+        np.testing.assert_allclose(
+            np.concatenate([s.normal for s in found]), np.tile([0, 0, 1.0], (total, 1)), atol=1e-6
+        )
 
 
 def test_density_on_a_mesh_does_not_depend_on_its_triangles(assemble, tmp_path):
@@ -329,7 +337,9 @@ def test_density_on_a_mesh_does_not_depend_on_its_triangles(assemble, tmp_path):
     edges = np.concatenate([[-2], -2 + 4 * np.geomspace(1e-4, 1, 40)])
     fan = np.array([t for p, q in zip(edges, edges[1:]) for t in quad([p, -2, 0], [q, -2, 0], [q, 2, 0], [p, 2, 0])])
     path = write_mesh(tmp_path / "fan.ply", fan)
-    assembly = assemble(free_space(laser={"beam_radius": None}, target={"filename": str(path), "point_sources": 16_000}))
+    assembly = assemble(
+        free_space(laser={"beam_radius": None}, target={"filename": str(path), "point_sources": 16_000})
+    )
     assert assembly.target.surface.density == pytest.approx(1000, rel=1e-5)
     places = np.concatenate([simulate_frame(assembly.with_seed(seed)).scatterers.position for seed in range(4)])
     n = len(places)

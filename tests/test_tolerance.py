@@ -125,7 +125,9 @@ def test_scene_of_a_mirror_keeps_its_tolerance(assemble, tmp_path, seed):
     draw = Draw(seed)
     distance, behind, tolerance = draw.between(10, 300), draw.between(10, 2000), draw.between(1e-7, 1e-1)
     sources, wavelength = sources_of(draw, 300, (0.02, min(2.0, 0.05 * distance)))
-    mirror = Frame(np.array([0.0, 0, distance]), tilted(*draw.uniform(-10, 10, 2), 0) @ tilted(0, draw.uniform(115, 150), 0))
+    mirror = Frame(
+        np.array([0.0, 0, distance]), tilted(*draw.uniform(-10, 10, 2), 0) @ tilted(0, draw.uniform(115, 150), 0)
+    )
     normal = mirror.axes[:, 2]
 
     def image(points):
@@ -173,7 +175,9 @@ def test_scene_of_a_lens_keeps_its_tolerance(assemble, tmp_path, seed):
     frame = Frame(np.array([*draw.uniform(-0.5, 0.5, 2), draw.between(25, 200)]), tilted(*draw.uniform(-5, 5, 2), 0))
     surfaces = lens_surfaces(frame.origin, frame.axes, index=index, **form)
     # The detector well before or well behind where the light may meet.
-    power = (index - 1) * (curvatures[0] - curvatures[1]) + (index - 1) ** 2 * form["thickness"] * np.prod(curvatures) / index
+    power = (index - 1) * (curvatures[0] - curvatures[1]) + (index - 1) ** 2 * form["thickness"] * np.prod(
+        curvatures
+    ) / index
     vergence = power - 1 / frame.origin[2]
     behind = draw.between(20, 1000)
     if vergence > 0 and 0.5 < behind * vergence < 2:
@@ -191,7 +195,9 @@ def test_scene_of_a_lens_keeps_its_tolerance(assemble, tmp_path, seed):
         for position, amplitude in zip(lit.position, lit.amplitude, strict=True):
             start = thin_lens_start(position, places, surfaces, 1 / power if power else np.inf)
             length, factor = fermat(position, surfaces, places, start)
-            exact = exact + amplitude * factor * np.exp(2j * np.pi * (length / wavelength - np.round(length / wavelength)))
+            exact = exact + amplitude * factor * np.exp(
+                2j * np.pi * (length / wavelength - np.round(length / wavelength))
+            )
         check(field, exact, tolerance, plan)
 
 
