@@ -180,7 +180,8 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
     for emitter in scene.emitters():
         if emitter is not laser:
             raise SceneError(
-                f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: its light would be left out, remove it"
+                f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: "
+                "its light would be left out, remove it"
             )
     _require_memory(detector)
     elements = tuple(elements_of(scene, target))
@@ -251,10 +252,9 @@ def _only(candidates: list, kind: str, role: str, plugin: str):
     found = [candidate for candidate in candidates if type(candidate).__name__ == kind]
     if len(found) != 1:
         names = ", ".join(candidate.where.partition(" ")[2] for candidate in found)
-        raise SceneError(
-            f"the scene has {f'{len(found)} of <{role} type={plugin!r}>: {names}' if found else f'no <{role} type={plugin!r}>'}, "
-            "must have exactly one"
-        )
+        tag = f"<{role} type={plugin!r}>"
+        there = f"{len(found)} of {tag}: {names}" if found else f"no {tag}"
+        raise SceneError(f"the scene has {there}, must have exactly one")
     return found[0]
 
 
@@ -285,7 +285,7 @@ def _aim(beam: Beam, shape: mi.Shape) -> tuple[Beam, Target]:
 
 
 def _where_axis_meets(facets, frame: Frame, beam: Beam, where: str, required: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Point (3,) and normal (3,) in the world where the beam's axis first meets the surface, else the target's plane."""
+    """Where the beam's axis first meets the surface, else the target's plane: point and normal (3,) in the world."""
     origin, axis = frame.to_local(beam.origin[None])[0], frame.axes.T @ beam.axis
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = facets.normal @ axis

@@ -18,7 +18,8 @@ from .simulate import plan_of
 PATTERN_AXES = ("u", "v", "x", "y")
 CENTRE_AXES = ("cog_u", "cog_v")
 AXES = (*PATTERN_AXES, *CENTRE_AXES)
-"""Axes along which motion of the image is reported: the detector's, the target's, and those of its centre of gravity."""
+"""Axes along which motion of the image is reported: the detector's, the target's, the detector's for the centre of
+gravity."""
 
 _ASTIGMATISM = 0.02
 """Relative difference of the two principal defoci up to which a system counts as one that images a plane."""
@@ -244,7 +245,10 @@ def _opening_zones(channel: Channel) -> np.ndarray:
 
 
 def _launch_to(channel: Channel, sources: np.ndarray, places: np.ndarray) -> np.ndarray | None:
-    """Directions (n, 3) of the rays from sources to places, one of them repeated, on the first opening or the detector."""
+    """Directions (n, 3) of the rays from sources to places on the first opening or the detector; one of them repeated.
+
+    None where a place has no ray.
+    """
     rim = channel.openings[0] if channel.openings else None
     end = detector_plane(channel.grid) if rim is None else Interaction.through(Surface(rim.plane.frame), rim.index)
     count = max(len(sources), len(places))

@@ -136,7 +136,7 @@ def _library_muted() -> Iterator[None]:
 
 
 def _check_size(path: Path) -> None:
-    """FieldImageError where a file's header promises more pixels than the file can hold: the reader would take the memory."""
+    """FieldImageError where a header promises more pixels than the file can hold: the reader would take the memory."""
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
             (left, top), (right, bottom) = (tuple(int(x) for x in corner) for corner in file.header()["dataWindow"])

@@ -32,8 +32,8 @@ from .shadows import SHADOWS_ON_DETECTOR, SHADOWS_ON_OPENING, shapes_beside_way
 from .surface import Scatterers
 
 _DARK = 1e-4
-"""Share of the power on pixels with an obstructed view of the opening from which it is refused: 1 % of the field, the wave
-of an edge that is otherwise left out."""
+"""Share of the power on pixels with an obstructed view of the opening from which it is refused: 1 % of the field, the
+wave of an edge that is otherwise left out."""
 
 _GRADIENT_SAFETY = 1.05
 """Factor on the sampled phase gradient, for what lies between the samples."""
@@ -64,7 +64,8 @@ def channel_field(
             nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, tolerance)
         except ValueError as error:
             raise SceneError(
-                f"opening {rim.name!r}: {error}; put a smaller stop, or set diffraction to false where there is no focus"
+                f"opening {rim.name!r}: {error}; "
+                "put a smaller stop, or set diffraction to false where there is no focus"
             ) from None
         path = _path(channel, number, Interaction.through(Surface(rim.plane.frame), rim.index), opening, wavelength)
         result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
@@ -103,14 +104,15 @@ def _summed(channel: Channel, path, *arguments) -> SumResult:
         if not isinstance(path, TracedLeg):
             raise
         raise SceneError(
-            f"way {channel.route.label}: {error}: put an aperture that keeps the light off the edges, or move the detector"
+            f"way {channel.route.label}: {error}: "
+            "put an aperture that keeps the light off the edges, or move the detector"
         ) from None
 
 
 def ray_channel(
     assembly: Assembly, frame: Frame, scatterers: Scatterers, channel: Channel, grid: PlaneGrid
 ) -> ChannelField:
-    """The field by the paper's own method: random rays, their paths interpolated on the pixels."""
+    """The field by the paper's own method: fans of rays, their paths interpolated on the pixels."""
     sequence = Sequence(channel.interactions) if channel.interactions else None
     rays = assembly.options.rays_per_source
     sources, weights = scatterers.position, scatterers.amplitude
@@ -256,9 +258,9 @@ def _require_dark(channel: Channel, values: np.ndarray) -> None:
     share = float(power[channel.hidden].sum() / max(power.sum(), 1e-300))
     if share > _DARK:
         raise SceneError(
-            f"way {channel.route.label}: {share:.2%} of the light behind {channel.openings[-1].name!r} falls where a rim or "
-            "a shape hides a part of that opening, and the diffraction there is not computed: make that element wider, "
-            "move it out of the light, or the detector smaller"
+            f"way {channel.route.label}: {share:.2%} of the light behind {channel.openings[-1].name!r} falls where "
+            "a rim or a shape hides a part of that opening, and the diffraction there is not computed: make that "
+            "element wider, move it out of the light, or the detector smaller"
         )
 
 

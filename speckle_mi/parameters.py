@@ -125,7 +125,8 @@ def check_rigid(where: str, matrix: np.ndarray) -> np.ndarray:
     axes = matrix[:3, :3]
     if np.max(np.abs(matrix[:3, 3])) > FARTHEST:
         raise SceneError(
-            f"{where}: 'to_world' moves by {np.max(np.abs(matrix[:3, 3])):g} mm, must stay within {FARTHEST:g} mm of the origin"
+            f"{where}: 'to_world' moves by {np.max(np.abs(matrix[:3, 3])):g} mm, "
+            f"must stay within {FARTHEST:g} mm of the origin"
         )
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=RIGID_TOLERANCE):
         raise SceneError(f"{where}: 'to_world' has the last row {matrix[3].tolist()}, must be 0 0 0 1 (no perspective)")

@@ -22,7 +22,8 @@ from .routes import Route, find_routes, points_on
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 
 CLEAR_OF_EDGE = 25.0
-"""Fresnel parameter v of the nearest edge from which on it is not diffracted at: a straight edge's wave is then below 1 %."""
+"""Fresnel parameter v of the nearest edge from which on it is not diffracted at: a straight edge's wave is then below
+1 %."""
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, CLEAR_OF_EDGE)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
@@ -144,8 +145,9 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
     if not assembly.options.diffraction:
         if geometric is None:
             raise SceneError(
-                f"way {channel.route.label}: {why_not}, so that the geometric field which diffraction=false asks for does "
-                "not exist all over it: set diffraction to true with an aperture in this way, block the way, or move the detector"
+                f"way {channel.route.label}: {why_not}, so that the geometric field which diffraction=false asks for "
+                "does not exist all over it: set diffraction to true with an aperture in this way, block the way, or "
+                "move the detector"
             )
         return (), "openings cast geometric shadows, as diffraction=false asks for"
     if geometric is not None:
@@ -219,7 +221,7 @@ class _View:
 
 
 def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[_View | None, str]:
-    """The rays from spot to detector; None and the reason where there is not exactly one for each pair, clear of a caustic."""
+    """The rays from spot to detector; None and the reason where not every pair has exactly one, clear of a caustic."""
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
     spots, pixels = _spot_samples(assembly, frame), _detector_samples(channel.grid)
     sources, targets = np.repeat(spots, len(pixels), axis=0), np.tile(pixels, (len(spots), 1))
@@ -238,7 +240,7 @@ def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple
 
 
 def _several_rays(channel: Channel, spot: np.ndarray) -> bool:
-    """Whether a fan of rays from the spot's middle finds a second ray to a pixel besides the one that is aimed at it."""
+    """Whether a fan of rays from the spot's middle finds a second ray to a pixel, besides the one aimed at it."""
     fan = points_on(channel.interactions[0].surface) - spot
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
     traced = trace(sequence, np.broadcast_to(spot, fan.shape), fan)

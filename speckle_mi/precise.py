@@ -19,7 +19,10 @@ _NOT_FOR_THE_PARSER = ("parallel", "optimize")
 
 
 def remember_transforms(mitsuba: ModuleType) -> None:
-    """Makes Mitsuba's loaders, which serve all variants, keep the transforms they would round and the shapes they would merge."""
+    """Makes Mitsuba's loaders keep the transforms they would round and the shapes they would merge.
+
+    The loaders serve all variants, and are changed once.
+    """
     for loader, parse in _LOADERS.items():
         load = getattr(mitsuba, loader)
         if not hasattr(load, _MARK):

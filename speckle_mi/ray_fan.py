@@ -109,8 +109,8 @@ class LaunchCones:
     """Which solid angle every source has to fill: a window of equal-area coordinates, linear in the source's place.
 
     axes: (3, 3) rows c, e1, e2, c the middle direction; centre: (3,) of the spot [mm]; window: (4,) p low, p high,
-    q low, q high for a source there, None where no light was found; slope: (3, 4) change [1/mm]; margin: (4,) what the linear
-    law leaves open.
+    q low, q high for a source there, None where no light was found; slope: (3, 4) change [1/mm]; margin: (4,) what the
+    linear law leaves open.
     """
 
     axes: np.ndarray

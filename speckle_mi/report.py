@@ -112,7 +112,7 @@ def print_report(assembly: Assembly, settings: SweepSettings, summary: dict) -> 
 
 
 def _sensitivity_table(title: str, axes: tuple[str, str], summary: dict) -> Table:
-    """A row a motion: simulated and theoretical sensitivity along two axes, scatter, and the paper's figure if it has one."""
+    """A row a motion: simulated and theoretical sensitivity along two axes, scatter, and the paper's figure if any."""
     comparison = summary["paper"]
     published = comparison is not None and any(entry["axis"] in axes for entry in comparison["figures"].values())
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")

@@ -151,9 +151,10 @@ def _routes(elements: tuple[Element, ...], arrived: dict) -> tuple[Route, ...]:
 class _Rays:
     """Test rays on their way, and what became of those that have ended.
 
-    origin, direction: (n, 3); clearance: by which they start off a surface [mm]; alive: (n,); inside: (n,) number of the glass a ray is in, -1 for none; steps and
-    interactions: what each ray has met; arrived, passed_by: steps -> (rays, interactions) of those that ended in the
-    detector's area, and beside it; stopped: rays that each element ended.
+    origin, direction: (n, 3); clearance: by which they start off a surface [mm]; alive: (n,); inside: (n,) number of
+    the glass a ray is in, -1 for none; steps and interactions: what each ray has met; arrived, passed_by: steps ->
+    (rays, interactions) of those that ended in the detector's area, and beside it; stopped: rays that each element
+    ended.
     """
 
     def __init__(self, origin: np.ndarray, direction: np.ndarray, clearance: float) -> None:
@@ -325,7 +326,7 @@ def _distance_to_detector(
 def screen_crossing(
     element: Element, origin: np.ndarray, direction: np.ndarray, clearance: float = _CLEARANCE
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance (n,) [mm] to the plane of an opening's screen, whether it is crossed in the hole, and in the screen itself."""
+    """Distance (n,) [mm] to the plane of an opening's screen; whether it is crossed in the hole; or on the screen."""
     face = element.faces[0]
     local, slope = face.frame.to_local(origin), direction @ face.frame.axes
     with np.errstate(divide="ignore", invalid="ignore"):

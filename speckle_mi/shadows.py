@@ -1,8 +1,8 @@
 """Shadows on the detector and on openings: of rims on the way, and of shapes that stand beside or in it.
 
 A way of the light through elements has the rims of these as smooth clearances; every other shape of the scene may still
-stand between two of its surfaces. Both are judged ray by ray, and each scatterer has its own shadow: many share those of
-the patches of the spot that they lie in.
+stand between two of its surfaces. Both are judged ray by ray, and each scatterer has its own shadow: many share those
+of the patches of the spot that they lie in.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def shadowed_sum(
 
     sources: (n, 3); lit_from(source (3,), only) -> bool of the shape of the field, right where ``only`` is (None:
     everywhere); sum_over(group, places) -> the field of the scatterers with the indices ``group`` at the places (bool)
-    alone, 1-D; whole: the field of all without shadows. Up to ``most`` scatterers have each their own shadow, more share
-    those of as many patches of the spot; the error is then what four times fewer patches change, relative L2.
+    alone, 1-D; whole: the field of all without shadows. Up to ``most`` scatterers have each their own shadow, more
+    share those of as many patches of the spot; the error is then what four times fewer patches change, relative L2.
     """
     few = [lit_from(sources[group].mean(axis=0), None) for group in _groups(sources, min(most, _FEW_SHADOWS))]
     mixed = np.any(few, axis=0) & ~np.all(few, axis=0)
@@ -101,7 +101,7 @@ def shadowed_sum(
 
 
 def _with_own_shadows(groups, sources, lit_from, sum_over, steady, whole, near) -> tuple[np.ndarray, float]:
-    """``steady`` with the field at the places ``near`` a shadow's edge, and the share of places in full or partial shadow."""
+    """``steady`` with the field at the places ``near`` a shadow's edge, and the share of places that shadows touch."""
     field = steady.copy()
     if np.any(near):
         lit = np.array([np.packbits(lit_from(sources[group].mean(axis=0), near)[near]) for group in groups])
@@ -116,7 +116,7 @@ def _with_own_shadows(groups, sources, lit_from, sum_over, steady, whole, near) 
 
 
 def _groups(sources: np.ndarray, most: int) -> list[np.ndarray]:
-    """Index arrays of scatterers that share a shadow: each alone, or at most ``most`` patches of a lattice over the spot."""
+    """Index arrays of scatterers that share a shadow: each alone, or in at most ``most`` patches of the spot."""
     if len(sources) <= most:
         return [np.array([k]) for k in range(len(sources))]
     centred = sources - sources.mean(axis=0)
@@ -252,7 +252,8 @@ class _Part:
     ) -> np.ndarray:
         """Whether places of a detector are lit from one source (3,), bool of ``shape``, from edge pixel to edge pixel.
 
-        Rays and clearances are interpolated from few that are traced. only: where shapes are looked for, bool of ``shape``.
+        Rays and clearances are interpolated from few that are traced. only: where shapes are looked for, bool of
+        ``shape``.
         """
         chosen = np.ones(shape, dtype=bool) if only is None else only
         lit = chosen.copy()
@@ -293,7 +294,7 @@ class _Part:
 
 
 def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """World points (m n, 3) on the detector, row by row, at shares (m,), (n,) of the way from its middle to the edge pixels."""
+    """World points (m n, 3) on the detector, row by row, at shares (m,), (n,) of the way from middle to edge pixels."""
     a, b = (
         0.5 * grid.pitch * (count - 1) * share for count, share in zip(grid.shape[::-1], (along, down), strict=True)
     )
@@ -309,7 +310,7 @@ def lit_nodes(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray
 
 
 def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
-    """Whether a rim that light is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
+    """Whether a rim that is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
     outermost, samples = extremes(sources, axes), opening_samples(rim.plane)
     starts, over = np.repeat(outermost, len(samples), axis=0), np.tile(samples, (len(outermost), 1))
     return not np.all(_clearance_over(channel, rim, starts, over) > _SAFE_MARGIN)

@@ -175,7 +175,8 @@ def _settings(options) -> SweepSettings:
     frames = options.seeds * (1 + len(dofs) * options.steps)
     if frames > MAX_FRAMES:
         raise ValueError(
-            f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, must be at most {MAX_FRAMES:.0e}"
+            f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, "
+            f"must be at most {MAX_FRAMES:.0e}"
         )
     for dof in dofs:
         Pose(**{dof: options.range / 2})  # says so when that is out of the world

@@ -30,7 +30,8 @@ PARTS = {
     "target": target_xml(),
     "detector": detector_xml(CAMERA, width=16, height=8),
     "lens": f'<shape type="lens" id="lens">{on_axis(25.0)}{parameters(LENS)}</shape>',
-    "aperture": f'<shape type="aperture" id="aperture">{on_axis(40.0)}{parameters({"radius": 0.5, "outer_radius": 9.0})}</shape>',
+    "aperture": '<shape type="aperture" id="aperture">'
+    f'{on_axis(40.0)}{parameters({"radius": 0.5, "outer_radius": 9.0})}</shape>',
 }
 
 

@@ -228,7 +228,8 @@ def test_centre_of_gravity_of_the_integrated_sensor_moves_by_the_apertures_proje
 def test_speckle_shift_of_the_integrated_sensor_is_the_tilted_lasers_at_its_distances(
     shipped, displacement, diffraction
 ):
-    """With diffraction only motions of half a speckle and more: the aperture's rings stand still and hold back smaller ones."""
+    """With diffraction only motions of half a speckle and more: the aperture's rings stand still, which holds back
+    smaller ones."""
     assembly = shipped(
         "integrated_sensor",
         width=186,

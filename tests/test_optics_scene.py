@@ -1,4 +1,4 @@
-"""Mirrors, plates and lenses in whole scenes, against Fermat's principle and image sources; what each scene leaves out."""
+"""Mirrors, plates and lenses in whole scenes, against Fermat's principle and image sources; what a scene leaves out."""
 
 from __future__ import annotations
 

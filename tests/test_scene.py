@@ -26,10 +26,10 @@ ORDERS = {
     "mitsuba first": "import mitsuba as mi, speckle_mi; mi.set_variant('llvm_ad_mono'); " + LOAD,
     "mitsuba used before": "import mitsuba as mi; mi.variants(); import speckle_mi; mi.set_variant('llvm_ad_mono'); "
     + LOAD,
-    "after another variant": "import mitsuba as mi, speckle_mi; mi.set_variant('scalar_rgb'); mi.set_variant('llvm_ad_mono'); "
-    + LOAD,
-    "variant set twice": "import mitsuba as mi, speckle_mi; mi.set_variant('llvm_ad_mono'); mi.set_variant('scalar_rgb'); "
+    "after another variant": "import mitsuba as mi, speckle_mi; mi.set_variant('scalar_rgb'); "
     "mi.set_variant('llvm_ad_mono'); " + LOAD,
+    "variant set twice": "import mitsuba as mi, speckle_mi; mi.set_variant('llvm_ad_mono'); "
+    "mi.set_variant('scalar_rgb'); mi.set_variant('llvm_ad_mono'); " + LOAD,
     "from mitsuba import": "import speckle_mi; from mitsuba import set_variant, load_file; import mitsuba as mi; "
     "set_variant('llvm_ad_mono'); " + LOAD,
 }

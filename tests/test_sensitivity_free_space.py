@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_builder import direction, free_space
+from scene_builder import WORLD, direction, free_space, transform
 from scipy import stats
 
 from speckle_mi import theory
@@ -115,10 +115,7 @@ def test_rotation_about_an_origin_outside_the_beam_moves_the_spot_as_well(assemb
     offset = np.array([3.0, 1.0, 0.0])
     frame = Frame(-offset, np.eye(3))
     text = free_space(direction(20, 180), direction(15, 40), laser=FINE_SPECKLE, detector=DETECTOR, target=FEW)
-    text = text.replace(
-        '<shape type="rough_target" id="target"><transform name="to_world"><matrix value="1.0 0.0 0.0 0.0 0.0 1.0 0.0 0.0',
-        f'<shape type="rough_target" id="target"><transform name="to_world"><matrix value="1.0 0.0 0.0 {-offset[0]} 0.0 1.0 0.0 {-offset[1]}',
-    )
+    text = text.replace(f'id="target">{transform(WORLD)}', f'id="target">{transform(frame)}')
     text = text.replace(
         'name="roughness"', 'name="width" value="12.0"/> <float name="height" value="12.0"/> <float name="roughness"'
     )
@@ -141,8 +138,8 @@ WIDE = {"wavelength": 632.8, "beam_radius": 0.5, "wavefront_radius": None}
 )
 def test_pattern_decorrelates_as_material_leaves_the_beam(assemble, angle, dof, across):
     """Peak correlation exp(-a^2/w^2), a the motion across the beam."""
-    # The footprint's radius is at most 0.61 mm, so that speckle is at least 2.7 px wide: the height of a peak between two
-    # pixels is not known for finer speckle (1.7 px: 0.012 too high). A narrow beam has fewer speckles.
+    # The footprint's radius is at most 0.61 mm, so that speckle is at least 2.7 px wide: the height of a peak between
+    # two pixels is not known for finer speckle (1.7 px: 0.012 too high). A narrow beam has fewer speckles.
     w, surfaces = WIDE["beam_radius"] * across, 10 if across > 0.8 else 20
     text = free_space(
         direction(angle, 180),

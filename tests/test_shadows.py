@@ -1,4 +1,4 @@
-"""Shapes and rims that cut the light in part: each scatterer's own shadow without diffraction, else a refusal by name."""
+"""Shapes and rims that cut the light in part: each scatterer's shadow without diffraction, else a refusal by name."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_knife_edge_close_to_a_spot_shades_each_of_many_scatterers_or_tells_the_
 
 
 def lens_rays(sources, surfaces, targets, focal_length):
-    """Lengths, amplitudes (s, n), launch and arrival directions (s, n, 3) of all pairs: gradients of the path length."""
+    """Lengths, amplitudes (s, n), launch and arrival directions (s, n, 3) of all pairs: gradients of the path."""
     step = 1e-3
     found = []
     for source in sources:

@@ -140,8 +140,9 @@ def test_scene_of_a_mirror_keeps_its_tolerance(assemble, tmp_path, seed):
     while len(set(sees_directly(detector, sources))) > 1:  # its plane cuts through the spot
         detector = detector_towards(draw, detector.origin, heading, 30)
     size = 0.8 * distance
+    element = element_xml("rectangle", "mirror", mirror, MIRROR, size=(size, size, 1))
     text = bench(
-        tmp_path, sources, detector, [element_xml("rectangle", "mirror", mirror, MIRROR, size=(size, size, 1))], pixels=pixels,
+        tmp_path, sources, detector, [element], pixels=pixels,
         pitch=pitch, wavelength=1e6 * wavelength, tolerance=tolerance, diffraction=False,
     )  # fmt: skip
     for places, field, lit, plan in field_of(assemble, text, draw):
@@ -186,8 +187,9 @@ def test_scene_of_a_lens_keeps_its_tolerance(assemble, tmp_path, seed):
     magnified = abs(1 - behind * vergence)
     pitch = float(min(draw.between(2e-3, 5e-2), 3.0 * magnified / max(pixels)))
     detector = detector_towards(draw, [0, 0, frame.origin[2] + form["thickness"] + behind], [0, 0, 1.0], 20)
+    element = element_xml("lens", "lens", frame, diameter=18.0, ior=index, **form)
     text = bench(
-        tmp_path, sources, detector, [element_xml("lens", "lens", frame, diameter=18.0, ior=index, **form)], pixels=pixels,
+        tmp_path, sources, detector, [element], pixels=pixels,
         pitch=pitch, wavelength=1e6 * wavelength, tolerance=tolerance, diffraction=False,
     )  # fmt: skip
     for places, field, lit, plan in field_of(assemble, text, draw):

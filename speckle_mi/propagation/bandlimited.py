@@ -117,7 +117,7 @@ def reach_of(
 
 
 def _slope_directions(path: Path, box: SourceBox, target: PlaneGrid | PlanePoints) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions (q, 3) in the box along which the path's slope on the target grows, and of which axis (q,) it is."""
+    """Unit directions (q, 3) in the box along which the path's slope on the target grows, and along which axis (q,)."""
     rectangle = Rectangle.around(target)
     faces = box.to_world(np.vstack([np.eye(3), -np.eye(3)]))
     directions = []
