@@ -79,7 +79,14 @@ from speckle_mi.files import mesh_from_file, points_from_csv, resolve
 from speckle_mi.geometry import DEGREES_OF_FREEDOM, Frame, Pose
 from speckle_mi.mesh import fill_mesh, move_mesh
 from speckle_mi.parameters import (
-    SceneError, check_number, describe, read_boolean, read_integer, read_number, stored, value_of,
+    SceneError,
+    check_number,
+    describe,
+    read_boolean,
+    read_integer,
+    read_number,
+    stored,
+    value_of,
 )
 from speckle_mi.placement import Placement
 from speckle_mi.surface import Facets, PointScatterers

@@ -25,10 +25,8 @@ from .surface import PointScatterers, RoughSurface
 GRAZING = 1e-9
 """Cosine of the angle of incidence below which the beam cannot light the target."""
 
-
 _ON_SURFACE = 1e-9
 """Depth in a glass, relative to its size, up to which a point still counts as on its surface."""
-
 
 MAX_SUB_PIXELS = 10_000
 """Most sub-pixels a pixel: as many fields are computed."""
@@ -240,11 +238,9 @@ def _is_inside(element: Element, point: np.ndarray) -> bool:
     depths = []
     for face in element.faces:
         (x, y, z), (_, _, inwards) = face.frame.to_local(np.array([point, middle]))
-        root = 1 - (1 + face.conic) * face.curvature**2 * (x * x + y * y)
-        if root < 0 or np.any(face.outline.margins(x, y) < 0):
+        if np.any(face.outline.margins(x, y) < 0):
             return False
-        sag = face.curvature * (x * x + y * y) / (1 + np.sqrt(root))
-        depths.append((z - sag) * np.sign(inwards))
+        depths.append((z - face.sag(x * x + y * y)) * np.sign(inwards))
     return min(depths) > _ON_SURFACE * element.size
 
 

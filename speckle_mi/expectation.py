@@ -8,10 +8,10 @@ import numpy as np
 
 from . import theory
 from .assembly import Assembly
-from .channel import Channel, detector_plane
+from .channel import Channel
 from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
 from .optics.aim import aim
-from .optics.surfaces import Circle, Interaction, Sequence, Surface
+from .optics.surfaces import Circle, Sequence, detector_plane
 from .optics.trace import trace
 from .simulate import plan_of
 
@@ -36,16 +36,16 @@ def expected_sensitivity(assembly: Assembly) -> dict[str, np.ndarray | None]:
 
     There is none where the light comes by several ways, or the detector sees a strongly astigmatic system.
     """
-    nothing: dict[str, np.ndarray | None] = dict.fromkeys(AXES)
+    expected: dict[str, np.ndarray | None] = dict.fromkeys(AXES)
     channels = plan_of(assembly).channels
     if len(channels) != 1:
-        return nothing
+        return expected
     pattern, centre = _pattern_displacement(assembly, channels[0]), _centre_displacement(assembly, channels[0])
     if pattern is not None:
-        nothing |= zip(PATTERN_AXES, on_all_axes(theory.per_degree(pattern), assembly), strict=True)
+        expected |= zip(PATTERN_AXES, on_all_axes(theory.per_degree(pattern), assembly), strict=True)
     if centre is not None:
-        nothing |= zip(CENTRE_AXES, theory.per_degree(centre), strict=True)
-    return nothing
+        expected |= zip(CENTRE_AXES, theory.per_degree(centre), strict=True)
+    return expected
 
 
 def on_all_axes(matrix: np.ndarray, assembly: Assembly) -> np.ndarray:
@@ -95,9 +95,8 @@ def _pupil_correlation(assembly: Assembly, channel: Channel, dof: str, displacem
     if not channel.leg(0):
         per_motion = _free_space(assembly, plane.frame.origin, u, v)
     else:
-        end = Interaction.through(Surface(plane.frame), channel.openings[0].index)
-        middle = _opening_middle(channel)
-        per_motion = _imaged(assembly, _chief_ray(assembly, channel, Sequence((*channel.leg(0), end)), u, v, middle))
+        system = Sequence((*channel.leg(0), channel.openings[0].end))
+        per_motion = _imaged(assembly, _chief_ray(assembly, channel, system, u, v, _opening_middle(channel)))
     if per_motion is None:
         return None
     moved = np.linalg.norm(per_motion[:, DEGREES_OF_FREEDOM.index(dof)])
@@ -158,7 +157,7 @@ def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | N
         target.spot, target.frame.origin, target.frame.axes, -beam.axis, target.spot_normal
     )
     steps = np.concatenate([[np.zeros(3)], _STEP * np.eye(3)])
-    landing = _landings_through_opening(assembly, channel, target.spot + steps)
+    landing = _landings_through_opening(channel, target.spot + steps)
     return None if landing is None else ((landing[1:] - landing[0]) / _STEP).T @ slide
 
 
@@ -249,15 +248,14 @@ def _launch_to(channel: Channel, sources: np.ndarray, places: np.ndarray) -> np.
 
     None where a place has no ray.
     """
-    rim = channel.openings[0] if channel.openings else None
-    end = detector_plane(channel.grid) if rim is None else Interaction.through(Surface(rim.plane.frame), rim.index)
+    end = channel.openings[0].end if channel.openings else detector_plane(channel.grid)
     count = max(len(sources), len(places))
     sources, places = (np.broadcast_to(points, (count, 3)) for points in (sources, places))
     aimed = aim(Sequence((*channel.leg(0), end)), sources, places)
     return aimed.launch if np.all(aimed.converged) else None
 
 
-def _landings_through_opening(assembly: Assembly, channel: Channel, sources: np.ndarray) -> np.ndarray | None:
+def _landings_through_opening(channel: Channel, sources: np.ndarray) -> np.ndarray | None:
     """Where the rays from sources (n, 3) through the opening's middle end on the detector, (n, 2) along u and v."""
     launch = _launch_to(channel, sources, _opening_middle(channel))
     if launch is None:

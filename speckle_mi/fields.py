@@ -8,17 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .assembly import Assembly
-from .channel import Channel, Rim, detector_plane
+from .channel import Channel, Rim
 from .geometry import Frame, PlaneGrid, PlanePoints
 from .legs import TracedLeg
 from .lobe import lobe_towards
 from .openings import opening_nodes
 from .optics.aim import aim
-from .optics.surfaces import Circle, Interaction, Sequence, Surface
+from .optics.surfaces import Circle, Interaction, Sequence, detector_plane
 from .parameters import SceneError
 from .propagation import FreeSpace, RayleighSommerfeld, SumResult, coherent_sum
 from .ray_method import ray_field
 from .shadows import (
+    SHADOWS_ON_DETECTOR,
+    SHADOWS_ON_OPENING,
     detector_samples,
     extremes,
     has_shadow,
@@ -27,8 +29,8 @@ from .shadows import (
     lit_pixels,
     opening_samples,
     shadowed_sum,
+    shapes_beside_way,
 )
-from .shadows import SHADOWS_ON_DETECTOR, SHADOWS_ON_OPENING, shapes_beside_way
 from .surface import Scatterers
 
 _DARK = 1e-4
@@ -67,7 +69,7 @@ def channel_field(
                 f"opening {rim.name!r}: {error}; "
                 "put a smaller stop, or set diffraction to false where there is no focus"
             ) from None
-        path = _path(channel, number, Interaction.through(Surface(rim.plane.frame), rim.index), opening, wavelength)
+        path = _path(channel, number, rim.end, opening, wavelength)
         result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
         values = result.field
         if number == 0:
@@ -155,13 +157,9 @@ def _nodes(
 ) -> tuple[PlanePoints, np.ndarray]:
     """Nodes and areas on an opening that resolve the phase of all light from sources to targets over it."""
     samples = opening_samples(rim.plane)
-    plane = Interaction.through(Surface(rim.plane.frame), rim.index)
-    before = Sequence((*channel.leg(number), plane))
-    end = (
-        Interaction.through(Surface(channel.openings[number + 1].plane.frame), channel.openings[number + 1].index)
-        if number + 1 < len(channel.openings) else detector_plane(channel.grid)
-    )
-    after = Sequence((*channel.leg(number + 1), end))
+    is_last = number + 1 == len(channel.openings)
+    end = detector_plane(channel.grid) if is_last else channel.openings[number + 1].end
+    before, after = Sequence((*channel.leg(number), rim.end)), Sequence((*channel.leg(number + 1), end))
     coming = aim(before, np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0)).arrival
     going = aim(after, np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1))).launch
     tangents = rim.plane.frame.axes[:, :2]
@@ -278,7 +276,7 @@ def _lobe(
     points = places.points()
     towards = points - middle
     if channel.leg(0):
-        end = detector_plane(channel.grid) if rim is None else Interaction.through(Surface(rim.plane.frame), rim.index)
+        end = detector_plane(channel.grid) if rim is None else rim.end
         towards = aim(Sequence((*channel.leg(0), end)), np.broadcast_to(middle, points.shape), points).launch
     amplitude = lobe_towards(assembly, frame, towards)
     return amplitude.reshape(places.shape) if isinstance(places, PlaneGrid) else amplitude

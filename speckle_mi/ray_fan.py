@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from speckle_mi.geometry import PlaneGrid
+from speckle_mi.geometry import PlaneGrid, vectors_across
 from speckle_mi.optics.aim import aim
 from speckle_mi.optics.surfaces import Sequence
 from speckle_mi.optics.trace import Log, RayStatus, march, zeros_between
@@ -161,9 +161,7 @@ def _aimed_start(system: Sequence, grid: PlaneGrid, source: np.ndarray) -> tuple
     else:
         c = system.interactions[0].surface.frame.origin - source
         c = c / np.linalg.norm(c) if np.linalg.norm(c) > 0 else grid.normal
-    e1 = np.cross(c, np.eye(3)[np.argmin(np.abs(c))])
-    e1 /= np.linalg.norm(e1)
-    axes = np.stack([c, e1, np.cross(c, e1)])
+    axes = np.stack([c, *vectors_across(c)])
     for last in march(system, _launch_state(source, axes, np.zeros(1), np.zeros(1))):
         pass
     jacobian = last.state[:2, 2:4, 0]

@@ -92,7 +92,7 @@ def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, resul
             )
 
 
-def print_report(assembly: Assembly, settings: SweepSettings, summary: dict) -> None:
+def print_report(summary: dict) -> None:
     """Prints the plan, the sensitivities on the detector and on the target's axes, and the errors."""
     console = Console(width=None if os.isatty(1) else 120, highlight=False)
     for line in summary["plan"]:

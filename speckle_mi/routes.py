@@ -15,9 +15,9 @@ import numpy as np
 
 from .assembly import Assembly
 from .elements import Element
-from .geometry import Frame
+from .geometry import Frame, vectors_across
 from .optics.aim import aim
-from .optics.surfaces import Interaction, Sequence, Surface
+from .optics.surfaces import Interaction, Sequence, Surface, detector_plane
 from .optics.trace import RayStatus, trace
 from .parameters import value_of
 
@@ -130,8 +130,7 @@ def _can_be_aimed(assembly: Assembly, start: np.ndarray, clearance: float, route
     targets = np.array([grid.centre + a * half_u * grid.u + b * half_v * grid.v for a, b in signs])
     if not route.interactions:
         return False  # the straight way needs no aim: a test ray goes to each part of the detector
-    plane = Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1)))
-    sequence = Sequence((*route.interactions, Interaction.through(plane)))
+    sequence = Sequence((*route.interactions, detector_plane(grid)))
     aimed = aim(sequence, np.broadcast_to(start, targets.shape), targets)
     free = aimed.converged & np.all(aimed.margins >= 0, axis=0)
     if not np.any(free):
@@ -193,7 +192,7 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     The user's own scatterers radiate to all sides.
     """
     (spot, normal), grid = assembly.spot_at(frame), assembly.detector
-    half_u, half_v = 0.5 * grid.pitch * grid.shape[1], 0.5 * grid.pitch * grid.shape[0]
+    half_u, half_v = grid.half_size
     side = (np.arange(_DETECTOR_RAYS) + 0.5) / _DETECTOR_RAYS * 2 - 1
     a, b = (values.ravel() for values in np.meshgrid(side, side))
     targets = [grid.centre[None], grid.centre + a[:, None] * half_u * grid.u + b[:, None] * half_v * grid.v]
@@ -209,9 +208,7 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     height = 1 - number / _HEMISPHERE_RAYS
     azimuth = np.pi * (1 + 5**0.5) * number
     ring = np.sqrt(1 - height**2)
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    first /= np.linalg.norm(first)
-    second = np.cross(normal, first)
+    first, second = vectors_across(normal)
     around = (
         (ring * np.cos(azimuth))[:, None] * first
         + (ring * np.sin(azimuth))[:, None] * second
@@ -223,19 +220,13 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     return directions if all_around else directions[directions @ normal > 1e-6]
 
 
-def points_on(face) -> np.ndarray:
-    """World points (n, 3) spread over a face inside its rim."""
+def points_on(face: Surface) -> np.ndarray:
+    """World points (n, 3) spread over a face inside its rim, or over half of a sphere."""
     number = np.arange(_ELEMENT_RAYS**2) + 0.5
     radius, angle = np.sqrt(number / _ELEMENT_RAYS**2), np.pi * (1 + 5**0.5) * number
-    outline = face.outline
-    if outline is None:
-        size = (1 / face.curvature,) * 2
-    else:
-        size = (outline.radius,) * 2 if hasattr(outline, "radius") else (outline.half_x, outline.half_y)
-    x, y = size[0] * radius * np.cos(angle), size[1] * radius * np.sin(angle)
-    squared = face.curvature * (x * x + y * y)
-    z = squared / (1 + np.sqrt(np.maximum(1 - (1 + face.conic) * face.curvature * squared, 0)))
-    return face.frame.to_world(np.stack([x, y, z], axis=1))
+    half_x, half_y = face.outline.half_size if face.outline else (1 / face.curvature,) * 2
+    x, y = half_x * radius * np.cos(angle), half_y * radius * np.sin(angle)
+    return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
 
 
 def _advance(assembly: Assembly, rays: _Rays) -> None:
@@ -314,9 +305,8 @@ def _distance_to_detector(
         slope = direction @ grid.normal
         distance = (grid.centre - origin) @ grid.normal / slope
         hit = origin + distance[:, None] * direction - grid.centre
-        inside = (np.abs(hit @ grid.u) <= 0.5 * grid.pitch * grid.shape[1]) & (
-            np.abs(hit @ grid.v) <= 0.5 * grid.pitch * grid.shape[0]
-        )
+        half_u, half_v = grid.half_size
+        inside = (np.abs(hit @ grid.u) <= half_u) & (np.abs(hit @ grid.v) <= half_v)
     # Outside the area the plane is thin air, where a ray ends only if it meets nothing else: the caller compares.
     reached = (slope < 0) & (distance > 0)
     inside &= reached

@@ -14,10 +14,10 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from .assembly import Assembly
-from .channel import Channel, Rim, detector_plane
+from .channel import Channel, Rim
 from .geometry import PlaneGrid
 from .optics.aim import aim
-from .optics.surfaces import Circle, Interaction, Sequence, Surface
+from .optics.surfaces import Interaction, Sequence, Surface, detector_plane
 from .optics.trace import RayStatus, trace
 from .propagation.chebyshev import chebyshev_nodes, interpolation_matrix
 from .routes import NOTHING, TARGET
@@ -43,17 +43,9 @@ _RING_SAMPLES, _ANGLE_SAMPLES = 5, 12
 
 def opening_samples(plane: Surface) -> np.ndarray:
     """World points (n, 3) spread over an opening: its centre, and rings out to the rim."""
-    outline = plane.outline
     share = np.arange(1, _RING_SAMPLES + 1) / _RING_SAMPLES
     angle = 2 * np.pi * np.arange(_ANGLE_SAMPLES) / _ANGLE_SAMPLES
-    x, y = (np.outer(share, f(angle)).ravel() for f in (np.cos, np.sin))
-    if isinstance(outline, Circle):
-        x, y = outline.radius * x, outline.radius * y
-    else:
-        largest = np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
-        stretch = np.tile(1 / largest, _RING_SAMPLES)
-        x, y = outline.half_x * x * stretch, outline.half_y * y * stretch
-    x, y = np.append(0.0, x), np.append(0.0, y)
+    x, y = (np.append(0.0, np.outer(share, edge)) for edge in plane.outline.edge(angle))
     return plane.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
 
 
@@ -219,7 +211,7 @@ class _Part:
             if not (start and i == start.number and channel.interactions[i].action == "pass")
         ]
         places = (start.number + 1 if start else 0, *(i + 1 for i in inner), end.number + 1 if end else count + 1)
-        plane = Interaction.through(Surface(end.plane.frame), end.index) if end else detector_plane(channel.grid)
+        plane = end.end if end else detector_plane(channel.grid)
         return cls(channel, places, tuple(channel.interactions[i] for i in inner), plane)
 
     def rays(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -322,7 +314,7 @@ def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.n
     rows = [row for row, (number, _) in enumerate(Sequence(channel.interactions).rims) if number not in chosen]
     if not rows:
         return np.empty((0, len(points)))
-    before = aim(Sequence((*channel.leg(0), Interaction.through(Surface(rim.plane.frame), rim.index))), source, points)
+    before = aim(Sequence((*channel.leg(0), rim.end)), source, points)
     clearance = np.full((len(rows), len(points)), -1.0)
     reached = np.flatnonzero(before.converged)
     # Where the ray goes on behind the opening decides about the rims there.

@@ -10,8 +10,8 @@ from . import __version__
 from .assembly import Assembly
 from .channel import Channel
 from .exr import FieldImage
-from .geometry import Frame, Pose
 from .fields import ChannelField, channel_field, ray_channel
+from .geometry import Frame, Pose
 from .plan import Plan, make_plan
 from .surface import Scatterers, illuminated_points, illuminated_scatterers
 from .visibility import pixels_in_view, visible_scatterers

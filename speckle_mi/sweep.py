@@ -135,7 +135,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     summary["seconds_total"] = time.perf_counter() - start
     report.write_summary(folder / "summary.json", summary)
     if not options.quiet:
-        report.print_report(assembly, settings, summary)
+        report.print_report(summary)
         say(options, f"{folder}: frames, sweep.csv, summary.json and plots, {summary['seconds_total']:.1f} s in all")
 
 
@@ -210,7 +210,7 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
         except ValueError:
             held = None
         refuse_other_settings(folder, held, identity, force)
-    elif folder.is_dir() and any(folder.iterdir()) and not force and not settings_file.is_file():
+    elif folder.is_dir() and any(folder.iterdir()) and not force:
         raise ValueError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     if force:

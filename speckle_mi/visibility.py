@@ -7,7 +7,7 @@ import numpy as np
 
 from .assembly import Assembly
 from .elements import Element
-from .geometry import Frame, PlaneGrid
+from .geometry import Frame, PlaneGrid, vectors_across
 from .routes import TARGET, screen_crossing
 from .surface import Scatterers
 
@@ -49,7 +49,7 @@ def visible_scatterers(
 def _note_of_horizon(assembly: Assembly, lit: Scatterers, seen: np.ndarray) -> str:
     """A warning when parts of the detector see other parts of a curved surface than its centre does."""
     grid = assembly.detector
-    half_u, half_v = (0.5 * grid.pitch * n for n in (grid.shape[1], grid.shape[0]))
+    half_u, half_v = grid.half_size
     partly = np.zeros(lit.count, dtype=bool)
     for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
         partly |= _faces(lit, grid.centre + a * half_u * grid.u + b * half_v * grid.v) != seen
@@ -102,13 +102,8 @@ def _across(heading: np.ndarray, distance: float) -> np.ndarray:
     """Displacements (8, 3) across a heading (3,) [mm], or none, (1, 3), for the distance 0."""
     if distance == 0:
         return np.zeros((1, 3))
-    first = np.cross(heading, np.eye(3)[np.argmin(np.abs(heading))])
-    second = np.cross(heading, first)
     angle = np.pi / 4 * np.arange(8)
-    circle = np.outer(np.cos(angle), first / np.linalg.norm(first)) + np.outer(
-        np.sin(angle), second / np.linalg.norm(second)
-    )
-    return distance * circle
+    return distance * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ vectors_across(heading / np.linalg.norm(heading))
 
 
 def _segment_free(assembly: Assembly, one: int, two: int, start: np.ndarray, end: np.ndarray) -> np.ndarray:

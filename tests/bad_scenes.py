@@ -6,8 +6,18 @@ import re
 
 import numpy as np
 import pytest
-from scene_builder import detector_frame, detector_xml, direction, frame_along, integrator_xml, laser_xml, parameters
-from scene_builder import scene_of, target_xml, transform
+from scene_builder import (
+    detector_frame,
+    detector_xml,
+    direction,
+    frame_along,
+    integrator_xml,
+    laser_xml,
+    parameters,
+    scene_of,
+    target_xml,
+    transform,
+)
 
 from speckle_mi.assembly import assembly_from_scene
 from speckle_mi.cli import one_line

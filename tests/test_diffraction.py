@@ -14,8 +14,8 @@ from exact_optics import (
     rectangle_nodes,
     rendered,
     spherical,
+    tilted,
 )
-from exact_optics import tilted
 from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 

@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scene_builder import WORLD, detector_frame, detector_xml, direction, free_space
-from scene_builder import frame_along, integrator_xml, laser_xml, scene_of, target_xml
+from scene_builder import (
+    WORLD,
+    detector_frame,
+    detector_xml,
+    direction,
+    frame_along,
+    free_space,
+    integrator_xml,
+    laser_xml,
+    scene_of,
+    target_xml,
+)
 
 from speckle_mi.geometry import Frame, PlaneGrid, Pose, rotation_matrix
 from speckle_mi.render import write_sources

@@ -15,8 +15,10 @@ from exact_optics import (
     fermat,
     lens_surfaces,
     rendered,
+    spherical,
+    thin_lens_start,
+    tilted,
 )
-from exact_optics import spherical, thin_lens_start, tilted
 from scipy.optimize import brentq
 
 from speckle_mi import fields, plan, simulate

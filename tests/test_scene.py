@@ -7,8 +7,18 @@ import sys
 
 import numpy as np
 import pytest
-from scene_builder import WORLD, detector_frame, direction, frame_along, free_space, laser_xml, parameters, scene_of
-from scene_builder import target_xml, transform
+from scene_builder import (
+    WORLD,
+    detector_frame,
+    direction,
+    frame_along,
+    free_space,
+    laser_xml,
+    parameters,
+    scene_of,
+    target_xml,
+    transform,
+)
 
 from speckle_mi import llvm
 from speckle_mi.assembly import assembly_from_scene

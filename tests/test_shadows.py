@@ -14,8 +14,10 @@ from exact_optics import (
     fermat,
     lens_surfaces,
     rectangle_nodes,
+    spherical,
+    thin_lens_start,
+    tilted,
 )
-from exact_optics import spherical, thin_lens_start, tilted
 from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 

@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scene_builder import WORLD, detector_frame, detector_xml, direction, free_space, laser_xml, scene_of, frame_along
-from scene_builder import integrator_xml, target_xml
+from scene_builder import (
+    WORLD,
+    detector_frame,
+    detector_xml,
+    direction,
+    frame_along,
+    free_space,
+    integrator_xml,
+    laser_xml,
+    scene_of,
+    target_xml,
+)
 from scipy import stats
 from scipy.spatial import cKDTree
 
