@@ -73,7 +73,7 @@ class Aperture(mi.Mesh):
         for name in _SIZES[self.form]:
             setattr(self, name, stored(read_number(props, name, **_SIZE)))
         self.exposed = (*_SIZES[self.form], "outer_radius")
-        self.outer_radius = stored(read_number(props, "outer_radius", max(10.0, 10.0 * self._reach()), **_SIZE))
+        self.outer_radius = stored(read_number(props, "outer_radius", max(10.0, 10.0 * self._outline().reach), **_SIZE))
         self._check()
         if not any(isinstance(child, mi.BSDF) for _, child in props.objects()):
             black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
@@ -89,15 +89,10 @@ class Aperture(mi.Mesh):
         sizes = [value_of(getattr(self, name)) for name in _SIZES[self.form]]
         return Circle(sizes[0]) if self.form == "circle" else Rectangle(sizes[0] / 2, sizes[1] / 2)
 
-    def _reach(self) -> float:
-        """Distance of the opening's farthest point from its centre [mm]."""
-        outline = self._outline()
-        return outline.radius if isinstance(outline, Circle) else float(np.hypot(outline.half_x, outline.half_y))
-
     def _check(self) -> None:
         for name in self.exposed:
             check_number(self.where, name, value_of(getattr(self, name)), **_SIZE)
-        outer, inner = value_of(self.outer_radius), ENCLOSING * self._reach() + self._room()
+        outer, inner = value_of(self.outer_radius), ENCLOSING * self._outline().reach + self._room()
         if not outer > inner:
             raise SceneError(
                 f"{self.where}: parameter 'outer_radius' is {outer:g} mm, must be more than {inner:.7g} mm, "

@@ -8,8 +8,8 @@ Coherent integrator (:monosp:`coherent`)
 
  * - method
    - |string|
-   - ``auto`` chooses the fastest way that keeps the tolerance, ``direct`` sums every pair of scatterer and pixel, ``fast``
-     always expands, ``rays`` interpolates the paths of random rays. (Default: auto)
+   - ``auto`` chooses the fastest way that keeps the tolerance, ``direct`` sums every pair of scatterer and pixel,
+     ``fast`` always expands, ``rays`` interpolates the paths of a fan of rays. (Default: auto)
    -
  * - tolerance
    - |float|
@@ -24,8 +24,8 @@ Coherent integrator (:monosp:`coherent`)
    - Rays of each scatterer, for ``rays`` only. (Default: 1500)
    -
 
-Adds up the complex field exp(+i k L) of every scatterer of the ``rough_target`` under the ``laser`` on the pixels of the
-``detector``, with L the optical path length. Its images have the channels ``Y``, ``E.re`` and ``E.im``.
+Adds up the complex field exp(+i k L) of every scatterer of the ``rough_target`` under the ``laser`` on the pixels of
+the ``detector``, with L the optical path length. Its images have the channels ``Y``, ``E.re`` and ``E.im``.
 
 .. tabs::
     .. code-tab:: xml

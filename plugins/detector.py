@@ -81,7 +81,10 @@ class Detector(mi.Sensor):
         grid, axes = self.grid(), self.placement.frame.axes
         rows, columns = grid.shape
         corner = mi.Point3f(*(grid.origin - 0.5 * grid.pitch * (grid.u + grid.v)).tolist())
-        u, v = mi.Vector3f(*grid.u.tolist()) * (grid.pitch * columns), mi.Vector3f(*grid.v.tolist()) * (grid.pitch * rows)
+        u, v = (
+            mi.Vector3f(*grid.u.tolist()) * (grid.pitch * columns),
+            mi.Vector3f(*grid.v.tolist()) * (grid.pitch * rows),
+        )
         local = mi.warp.square_to_cosine_hemisphere(aperture_sample)
         wavelengths, weight = self.sample_wavelengths(dr.zeros(mi.SurfaceInteraction3f), wavelength_sample, active)
         ray = dr.zeros(mi.Ray3f)
@@ -120,7 +123,9 @@ class Detector(mi.Sensor):
 def _field_film(film: mi.Film, where: str) -> mi.Film:
     """A film of the same size that stores one intensity and the field in single precision, without a filter."""
     if tuple(film.crop_size()) != tuple(film.size()):
-        raise SceneError(f"{where}: the film is cropped to {tuple(film.crop_size())}, must be whole: set width and height")
+        raise SceneError(
+            f"{where}: the film is cropped to {tuple(film.crop_size())}, must be whole: set width and height"
+        )
     columns, rows = (int(n) for n in film.size())
     return mi.load_dict(
         {

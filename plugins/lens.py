@@ -59,7 +59,15 @@ import numpy as np
 
 from speckle_mi.geometry import Frame
 from speckle_mi.mesh import (
-    ENCLOSING, SECTORS, cap_faces, fill_mesh, move_mesh, ring_faces, rings, rounding_room, sector_angles,
+    ENCLOSING,
+    SECTORS,
+    cap_faces,
+    fill_mesh,
+    move_mesh,
+    ring_faces,
+    rings,
+    rounding_room,
+    sector_angles,
 )
 from speckle_mi.optics.surfaces import Circle, Surface
 from speckle_mi.parameters import SceneError, check_number, describe, read_number, stored, value_of

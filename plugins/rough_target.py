@@ -79,7 +79,14 @@ from speckle_mi.files import mesh_from_file, points_from_csv, resolve
 from speckle_mi.geometry import DEGREES_OF_FREEDOM, Frame, Pose
 from speckle_mi.mesh import fill_mesh, move_mesh
 from speckle_mi.parameters import (
-    SceneError, check_number, describe, read_boolean, read_integer, read_number, stored, value_of,
+    SceneError,
+    check_number,
+    describe,
+    read_boolean,
+    read_integer,
+    read_number,
+    stored,
+    value_of,
 )
 from speckle_mi.placement import Placement
 from speckle_mi.surface import Facets, PointScatterers
@@ -121,7 +128,9 @@ class RoughTarget(mi.Mesh):
     def _read_form(self, props: mi.Properties) -> tuple[np.ndarray, np.ndarray]:
         if "filename" in props:
             if "width" in props or "height" in props:
-                raise SceneError(f"{self.where}: has both 'filename' and a size ('width', 'height'), must have one of them")
+                raise SceneError(
+                    f"{self.where}: has both 'filename' and a size ('width', 'height'), must have one of them"
+                )
             vertices, faces = mesh_from_file(resolve(props, "filename"), self.where)
             self.facets = Facets.triangles(vertices[faces])
             if self.facets.count == 0:

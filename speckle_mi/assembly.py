@@ -25,10 +25,8 @@ from .surface import PointScatterers, RoughSurface
 GRAZING = 1e-9
 """Cosine of the angle of incidence below which the beam cannot light the target."""
 
-
 _ON_SURFACE = 1e-9
 """Depth in a glass, relative to its size, up to which a point still counts as on its surface."""
-
 
 MAX_SUB_PIXELS = 10_000
 """Most sub-pixels a pixel: as many fields are computed."""
@@ -143,15 +141,22 @@ class Assembly:
             "beam": [_digits(value) for value in (beam.origin, beam.axis, beam.reference)]
             + [repr(value) for value in (beam.radius, beam.wavefront_radius, beam.wavelength)],
             "target": [_digits(target.frame.origin), _digits(target.frame.axes), repr(target.lobe)]
-            + [repr(value) for value in (target.surface.density, target.surface.roughness, target.surface.correlation_length)]
+            + [
+                repr(value)
+                for value in (target.surface.density, target.surface.roughness, target.surface.correlation_length)
+            ]
             + [str(target.shape.bsdf()) if target.lobe else ""]
             + [_hash(facets.origin, facets.e1, facets.e2, facets.bounds, facets.edges)],
             "elements": [element.describe() for element in self.elements],
             "points": None if points is None else _hash(points.points, points.weights),
             "detector": [_digits(grid.origin), _digits(grid.u), _digits(grid.v), repr(grid.pitch), list(grid.shape)],
             "sub_pixels": self.sub_pixels,
-            "options": [self.options.method, repr(self.options.tolerance), self.options.diffraction,
-                        self.options.rays_per_source],
+            "options": [
+                self.options.method,
+                repr(self.options.tolerance),
+                self.options.diffraction,
+                self.options.rays_per_source,
+            ],
         }
 
 
@@ -172,7 +177,10 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
         raise SceneError(f"the scene's integrator is {found}, must be <integrator type=\"coherent\"/>")
     for emitter in scene.emitters():
         if emitter is not laser:
-            raise SceneError(f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: its light would be left out, remove it")
+            raise SceneError(
+                f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: "
+                "its light would be left out, remove it"
+            )
     _require_memory(detector)
     elements = tuple(elements_of(scene, target))
     beam, target = _aim(laser.beam(), target)
@@ -230,11 +238,9 @@ def _is_inside(element: Element, point: np.ndarray) -> bool:
     depths = []
     for face in element.faces:
         (x, y, z), (_, _, inwards) = face.frame.to_local(np.array([point, middle]))
-        root = 1 - (1 + face.conic) * face.curvature**2 * (x * x + y * y)
-        if root < 0 or np.any(face.outline.margins(x, y) < 0):
+        if np.any(face.outline.margins(x, y) < 0):
             return False
-        sag = face.curvature * (x * x + y * y) / (1 + np.sqrt(root))
-        depths.append((z - sag) * np.sign(inwards))
+        depths.append((z - face.sag(x * x + y * y)) * np.sign(inwards))
     return min(depths) > _ON_SURFACE * element.size
 
 
@@ -242,10 +248,9 @@ def _only(candidates: list, kind: str, role: str, plugin: str):
     found = [candidate for candidate in candidates if type(candidate).__name__ == kind]
     if len(found) != 1:
         names = ", ".join(candidate.where.partition(" ")[2] for candidate in found)
-        raise SceneError(
-            f"the scene has {f'{len(found)} of <{role} type={plugin!r}>: {names}' if found else f'no <{role} type={plugin!r}>'}, "
-            "must have exactly one"
-        )
+        tag = f"<{role} type={plugin!r}>"
+        there = f"{len(found)} of {tag}: {names}" if found else f"no {tag}"
+        raise SceneError(f"the scene has {there}, must have exactly one")
     return found[0]
 
 
@@ -276,7 +281,7 @@ def _aim(beam: Beam, shape: mi.Shape) -> tuple[Beam, Target]:
 
 
 def _where_axis_meets(facets, frame: Frame, beam: Beam, where: str, required: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Point (3,) and normal (3,) in the world where the beam's axis first meets the surface, else the target's plane."""
+    """Where the beam's axis first meets the surface, else the target's plane: point and normal (3,) in the world."""
     origin, axis = frame.to_local(beam.origin[None])[0], frame.axes.T @ beam.axis
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = facets.normal @ axis

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .geometry import Frame, PlaneGrid
-from .optics.surfaces import Circle, Interaction, Surface
+from .optics.surfaces import Interaction, Surface
 from .routes import Route
 
 
@@ -26,6 +26,11 @@ class Rim:
     position: int
     index: float
     is_screen: bool
+
+    @property
+    def end(self) -> Interaction:
+        """The rim's plane, unbounded, as the end of a sequence."""
+        return Interaction.through(Surface(self.plane.frame), self.index)
 
 
 @dataclass(frozen=True)
@@ -62,11 +67,6 @@ class Channel:
         return tuple(i for i in self.interactions[first:last] if i.action != "pass")
 
 
-def detector_plane(grid: PlaneGrid) -> Interaction:
-    """The detector's plane as the end of a sequence."""
-    return Interaction.through(Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1))))
-
-
 def rims_of(spot: np.ndarray, names: tuple[str, ...], interactions: tuple[Interaction, ...]) -> tuple[Rim, ...]:
     """The outlines among the interactions of a way that starts at ``spot`` (3,), in order."""
     vertices = [spot, *(i.surface.frame.origin for i in interactions)]
@@ -86,9 +86,7 @@ def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -
     surface, outline = interaction.surface, interaction.surface.outline
     if interaction.action == "pass" or surface.is_plane:
         return Rim(name, surface, number, number, interaction.index_before, interaction.action == "pass")
-    radius = outline.radius if isinstance(outline, Circle) else float(np.hypot(outline.half_x, outline.half_y))
-    c, k = surface.curvature, surface.conic
-    sag = c * radius**2 / (1 + np.sqrt(max(1 - (1 + k) * c * c * radius**2, 0.0)))
+    sag = surface.sag(outline.reach**2)
     bulges = sag * float(travel @ surface.frame.axes[:, 2]) > 0
     if bulges and interaction.action == "reflect":
         sag = 0.0  # light never comes to the plane of a convex mirror's rim: take the one through its vertex

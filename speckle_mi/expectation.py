@@ -8,17 +8,18 @@ import numpy as np
 
 from . import theory
 from .assembly import Assembly
-from .channel import Channel, detector_plane
+from .channel import Channel
 from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
 from .optics.aim import aim
-from .optics.surfaces import Circle, Interaction, Sequence, Surface
+from .optics.surfaces import Circle, Sequence, detector_plane
 from .optics.trace import trace
 from .simulate import plan_of
 
 PATTERN_AXES = ("u", "v", "x", "y")
 CENTRE_AXES = ("cog_u", "cog_v")
 AXES = (*PATTERN_AXES, *CENTRE_AXES)
-"""Axes along which motion of the image is reported: the detector's, the target's, and those of its centre of gravity."""
+"""Axes along which motion of the image is reported: the detector's, the target's, the detector's for the centre of
+gravity."""
 
 _ASTIGMATISM = 0.02
 """Relative difference of the two principal defoci up to which a system counts as one that images a plane."""
@@ -35,16 +36,16 @@ def expected_sensitivity(assembly: Assembly) -> dict[str, np.ndarray | None]:
 
     There is none where the light comes by several ways, or the detector sees a strongly astigmatic system.
     """
-    nothing: dict[str, np.ndarray | None] = dict.fromkeys(AXES)
+    expected: dict[str, np.ndarray | None] = dict.fromkeys(AXES)
     channels = plan_of(assembly).channels
     if len(channels) != 1:
-        return nothing
+        return expected
     pattern, centre = _pattern_displacement(assembly, channels[0]), _centre_displacement(assembly, channels[0])
     if pattern is not None:
-        nothing |= zip(PATTERN_AXES, on_all_axes(theory.per_degree(pattern), assembly), strict=True)
+        expected |= zip(PATTERN_AXES, on_all_axes(theory.per_degree(pattern), assembly), strict=True)
     if centre is not None:
-        nothing |= zip(CENTRE_AXES, theory.per_degree(centre), strict=True)
-    return nothing
+        expected |= zip(CENTRE_AXES, theory.per_degree(centre), strict=True)
+    return expected
 
 
 def on_all_axes(matrix: np.ndarray, assembly: Assembly) -> np.ndarray:
@@ -74,7 +75,11 @@ def _beam_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -
     across = [
         np.linalg.norm(
             theory.beam_displacement_of_material(
-                Pose(**{dof: float(displacement)}), target.spot, target.frame.origin, target.frame.axes, -assembly.beam.axis
+                Pose(**{dof: float(displacement)}),
+                target.spot,
+                target.frame.origin,
+                target.frame.axes,
+                -assembly.beam.axis,
             )
         )
         for displacement in displacements
@@ -90,9 +95,8 @@ def _pupil_correlation(assembly: Assembly, channel: Channel, dof: str, displacem
     if not channel.leg(0):
         per_motion = _free_space(assembly, plane.frame.origin, u, v)
     else:
-        end = Interaction.through(Surface(plane.frame), channel.openings[0].index)
-        view = _chief_ray(assembly, channel, Sequence((*channel.leg(0), end)), u, v, _Zones.middle(channel))
-        per_motion = _imaged(assembly, view)
+        system = Sequence((*channel.leg(0), channel.openings[0].end))
+        per_motion = _imaged(assembly, _chief_ray(assembly, channel, system, u, v, _Zones.middle(channel)))
     if per_motion is None:
         return None
     moved = np.linalg.norm(per_motion[:, DEGREES_OF_FREEDOM.index(dof)])
@@ -104,7 +108,15 @@ def _free_space(assembly: Assembly, place: np.ndarray, u: np.ndarray, v: np.ndar
     """(2, 6) displacement [mm/mm, mm/rad] of the free-space pattern at a place, along u and v."""
     target, beam = assembly.target, assembly.beam
     return theory.first_order_displacement(
-        target.spot, target.frame.origin, target.frame.axes, -beam.axis, beam.wavefront_radius, place, u, v, target.spot_normal
+        target.spot,
+        target.frame.origin,
+        target.frame.axes,
+        -beam.axis,
+        beam.wavefront_radius,
+        place,
+        u,
+        v,
+        target.spot_normal,
     )
 
 
@@ -141,9 +153,11 @@ def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | N
             target.spot, target.frame.origin, target.frame.axes, -beam.axis, channel.openings[0].plane.frame.origin,
             channel.grid.centre, channel.grid.u, channel.grid.v, target.spot_normal,
         )
-    slide = theory.spot_displacement(target.spot, target.frame.origin, target.frame.axes, -beam.axis, target.spot_normal)
+    slide = theory.spot_displacement(
+        target.spot, target.frame.origin, target.frame.axes, -beam.axis, target.spot_normal
+    )
     steps = np.concatenate([[np.zeros(3)], _STEP * np.eye(3)])
-    landing = _landings_through_opening(assembly, channel, target.spot + steps)
+    landing = _landings_through_opening(channel, target.spot + steps)
     return None if landing is None else ((landing[1:] - landing[0]) / _STEP).T @ slide
 
 
@@ -249,7 +263,9 @@ def _line(slopes: np.ndarray, ends: np.ndarray) -> np.ndarray:
     return fitted[:2].T
 
 
-def _lever_of_one(system: Sequence, spot: np.ndarray, sight: np.ndarray, across: np.ndarray, plane: np.ndarray) -> np.ndarray:
+def _lever_of_one(
+    system: Sequence, spot: np.ndarray, sight: np.ndarray, across: np.ndarray, plane: np.ndarray
+) -> np.ndarray:
     """(2, 2) motion of one ray's end per tilt [mm/rad], where no opening limits the light."""
     tilts = np.concatenate([np.outer([1.0, -1.0], a) for a in across]) * _STEP
     ends = trace(system, np.broadcast_to(spot, tilts.shape), sight + tilts).points[-1] @ plane
@@ -262,16 +278,18 @@ def _opening_middle(channel: Channel) -> np.ndarray:
 
 
 def _launch_to(channel: Channel, sources: np.ndarray, places: np.ndarray) -> np.ndarray | None:
-    """Directions (n, 3) of the rays from sources to places, one of them repeated, on the first opening or the detector."""
-    rim = channel.openings[0] if channel.openings else None
-    end = detector_plane(channel.grid) if rim is None else Interaction.through(Surface(rim.plane.frame), rim.index)
+    """Directions (n, 3) of the rays from sources to places on the first opening or the detector; one of them repeated.
+
+    None where a place has no ray.
+    """
+    end = channel.openings[0].end if channel.openings else detector_plane(channel.grid)
     count = max(len(sources), len(places))
     sources, places = (np.broadcast_to(points, (count, 3)) for points in (sources, places))
     aimed = aim(Sequence((*channel.leg(0), end)), sources, places)
     return aimed.launch if np.all(aimed.converged) else None
 
 
-def _landings_through_opening(assembly: Assembly, channel: Channel, sources: np.ndarray) -> np.ndarray | None:
+def _landings_through_opening(channel: Channel, sources: np.ndarray) -> np.ndarray | None:
     """Where the rays from sources (n, 3) through the opening's middle end on the detector, (n, 2) along u and v."""
     launch = _launch_to(channel, sources, _opening_middle(channel))
     if launch is None:

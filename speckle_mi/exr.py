@@ -108,7 +108,9 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
             return channels, dict(file.header())  # the file empties its own when it is closed
     except Exception as error:  # the reader raises RuntimeError, ValueError and others of its own
-        raise FieldImageError(f"{path}: cannot be read, the file is damaged or cut short ({_first_line(error)})") from None
+        raise FieldImageError(
+            f"{path}: cannot be read, the file is damaged or cut short ({_first_line(error)})"
+        ) from None
 
 
 @contextmanager
@@ -134,7 +136,7 @@ def _library_muted() -> Iterator[None]:
 
 
 def _check_size(path: Path) -> None:
-    """FieldImageError where a file's header promises more pixels than the file can hold: the reader would take the memory."""
+    """FieldImageError where a header promises more pixels than the file can hold: the reader would take the memory."""
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
             (left, top), (right, bottom) = (tuple(int(x) for x in corner) for corner in file.header()["dataWindow"])

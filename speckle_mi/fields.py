@@ -8,23 +8,34 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .assembly import Assembly
-from .channel import Channel, Rim, detector_plane
+from .channel import Channel, Rim
 from .geometry import Frame, PlaneGrid, PlanePoints
 from .legs import TracedLeg
 from .lobe import lobe_towards
 from .openings import opening_nodes
 from .optics.aim import aim
-from .optics.surfaces import Circle, Interaction, Sequence, Surface
+from .optics.surfaces import Circle, Interaction, Sequence, detector_plane
 from .parameters import SceneError
 from .propagation import FreeSpace, RayleighSommerfeld, SumResult, coherent_sum
 from .ray_method import ray_field
-from .shadows import detector_samples, extremes, has_shadow, is_clear, lit_nodes, lit_pixels, opening_samples, shadowed_sum
-from .shadows import SHADOWS_ON_DETECTOR, SHADOWS_ON_OPENING, shapes_beside_way
+from .shadows import (
+    SHADOWS_ON_DETECTOR,
+    SHADOWS_ON_OPENING,
+    detector_samples,
+    extremes,
+    has_shadow,
+    is_clear,
+    lit_nodes,
+    lit_pixels,
+    opening_samples,
+    shadowed_sum,
+    shapes_beside_way,
+)
 from .surface import Scatterers
 
 _DARK = 1e-4
-"""Share of the power on pixels with an obstructed view of the opening from which it is refused: 1 % of the field, the wave
-of an edge that is otherwise left out."""
+"""Share of the power on pixels with an obstructed view of the opening from which it is refused: 1 % of the field, the
+wave of an edge that is otherwise left out."""
 
 _GRADIENT_SAFETY = 1.05
 """Factor on the sampled phase gradient, for what lies between the samples."""
@@ -55,9 +66,10 @@ def channel_field(
             nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, tolerance)
         except ValueError as error:
             raise SceneError(
-                f"opening {rim.name!r}: {error}; put a smaller stop, or set diffraction to false where there is no focus"
+                f"opening {rim.name!r}: {error}; "
+                "put a smaller stop, or set diffraction to false where there is no focus"
             ) from None
-        path = _path(channel, number, Interaction.through(Surface(rim.plane.frame), rim.index), opening, wavelength)
+        path = _path(channel, number, rim.end, opening, wavelength)
         result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
         values = result.field
         if number == 0:
@@ -94,14 +106,15 @@ def _summed(channel: Channel, path, *arguments) -> SumResult:
         if not isinstance(path, TracedLeg):
             raise
         raise SceneError(
-            f"way {channel.route.label}: {error}: put an aperture that keeps the light off the edges, or move the detector"
+            f"way {channel.route.label}: {error}: "
+            "put an aperture that keeps the light off the edges, or move the detector"
         ) from None
 
 
 def ray_channel(
     assembly: Assembly, frame: Frame, scatterers: Scatterers, channel: Channel, grid: PlaneGrid
 ) -> ChannelField:
-    """The field by the paper's own method: random rays, their paths interpolated on the pixels."""
+    """The field by the paper's own method: fans of rays, their paths interpolated on the pixels."""
     sequence = Sequence(channel.interactions) if channel.interactions else None
     rays = assembly.options.rays_per_source
     sources, weights = scatterers.position, scatterers.amplitude
@@ -111,7 +124,9 @@ def ray_channel(
         values, *_ = shadowed_sum(
             sources,
             lambda source, only: lit_pixels(assembly, channel, source, grid, only, rims=False),
-            lambda group, seen: ray_field(sequence, grid, sources[group], weights[group], assembly.beam.wavelength, rays).field[seen],
+            lambda group, seen: ray_field(
+                sequence, grid, sources[group], weights[group], assembly.beam.wavelength, rays
+            ).field[seen],
             values,
             SHADOWS_ON_DETECTOR,
         )
@@ -132,17 +147,19 @@ def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: 
 
 
 def _nodes(
-    channel: Channel, number: int, rim: Rim, sources: np.ndarray, targets: np.ndarray, wavelength: float, tolerance: float
+    channel: Channel,
+    number: int,
+    rim: Rim,
+    sources: np.ndarray,
+    targets: np.ndarray,
+    wavelength: float,
+    tolerance: float,
 ) -> tuple[PlanePoints, np.ndarray]:
     """Nodes and areas on an opening that resolve the phase of all light from sources to targets over it."""
     samples = opening_samples(rim.plane)
-    plane = Interaction.through(Surface(rim.plane.frame), rim.index)
-    before = Sequence((*channel.leg(number), plane))
-    end = (
-        Interaction.through(Surface(channel.openings[number + 1].plane.frame), channel.openings[number + 1].index)
-        if number + 1 < len(channel.openings) else detector_plane(channel.grid)
-    )
-    after = Sequence((*channel.leg(number + 1), end))
+    is_last = number + 1 == len(channel.openings)
+    end = detector_plane(channel.grid) if is_last else channel.openings[number + 1].end
+    before, after = Sequence((*channel.leg(number), rim.end)), Sequence((*channel.leg(number + 1), end))
     coming = aim(before, np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0)).arrival
     going = aim(after, np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1))).launch
     tangents = rim.plane.frame.axes[:, :2]
@@ -165,7 +182,11 @@ def _nodes(
     largest = float(length.max())
     grows_evenly = np.all(length <= (tilt + (largest - tilt) * radius / outline.radius) * _GRADIENT_SAFETY + 1e-9)
     return opening_nodes(
-        outline, rim.plane.frame, _GRADIENT_SAFETY * largest, tolerance, _GRADIENT_SAFETY * tilt if grows_evenly else None
+        outline,
+        rim.plane.frame,
+        _GRADIENT_SAFETY * largest,
+        tolerance,
+        _GRADIENT_SAFETY * tilt if grows_evenly else None,
     )
 
 
@@ -180,7 +201,14 @@ def _next_targets(channel: Channel, number: int, grid: PlaneGrid) -> np.ndarray:
 
 
 def _with_shadows_on(
-    nodes: PlanePoints, channel: Channel, rim: Rim, path, sources: np.ndarray, weights: np.ndarray, whole: np.ndarray, *how
+    nodes: PlanePoints,
+    channel: Channel,
+    rim: Rim,
+    path,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    whole: np.ndarray,
+    *how,
 ) -> tuple[np.ndarray, float]:
     """The field at the nodes of the first opening with the shadows of rims that are not diffracted at, and its error.
 
@@ -212,7 +240,11 @@ def _shadowed_field(
 
     whole = result.field.reshape(grid.shape)
     field, share, error = shadowed_sum(
-        sources, lambda source, only: lit_pixels(assembly, channel, source, grid, only), sum_over, whole, SHADOWS_ON_DETECTOR
+        sources,
+        lambda source, only: lit_pixels(assembly, channel, source, grid, only),
+        sum_over,
+        whole,
+        SHADOWS_ON_DETECTOR,
     )
     line = f"{result.plan}; {share:.1%} of the pixels in full or partial shadow"
     return field, line, float(np.hypot(result.numerical_error, error))
@@ -224,14 +256,19 @@ def _require_dark(channel: Channel, values: np.ndarray) -> None:
     share = float(power[channel.hidden].sum() / max(power.sum(), 1e-300))
     if share > _DARK:
         raise SceneError(
-            f"way {channel.route.label}: {share:.2%} of the light behind {channel.openings[-1].name!r} falls where a rim or "
-            "a shape hides a part of that opening, and the diffraction there is not computed: make that element wider, "
-            "move it out of the light, or the detector smaller"
+            f"way {channel.route.label}: {share:.2%} of the light behind {channel.openings[-1].name!r} falls where "
+            "a rim or a shape hides a part of that opening, and the diffraction there is not computed: make that "
+            "element wider, move it out of the light, or the detector smaller"
         )
 
 
 def _lobe(
-    assembly: Assembly, frame: Frame, middle: np.ndarray, channel: Channel, rim: Rim | None, places: PlaneGrid | PlanePoints
+    assembly: Assembly,
+    frame: Frame,
+    middle: np.ndarray,
+    channel: Channel,
+    rim: Rim | None,
+    places: PlaneGrid | PlanePoints,
 ) -> np.ndarray | float:
     """Amplitude of the target's radiation along the rays from the spot's middle to places, 1.0 for even radiation."""
     if not assembly.target.lobe:
@@ -239,7 +276,7 @@ def _lobe(
     points = places.points()
     towards = points - middle
     if channel.leg(0):
-        end = detector_plane(channel.grid) if rim is None else Interaction.through(Surface(rim.plane.frame), rim.index)
+        end = detector_plane(channel.grid) if rim is None else rim.end
         towards = aim(Sequence((*channel.leg(0), end)), np.broadcast_to(middle, points.shape), points).launch
     amplitude = lobe_towards(assembly, frame, towards)
     return amplitude.reshape(places.shape) if isinstance(places, PlaneGrid) else amplitude

@@ -22,11 +22,23 @@ def rotation_matrix(rotation_vector: np.ndarray) -> np.ndarray:
     """Exact rotation about ``rotation_vector`` (3,) [rad] by its length (Rodrigues' formula), (3, 3)."""
     vector = np.asarray(rotation_vector, dtype=np.float64)
     angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    cross = cross_matrix(vector)
     # sin(a)/a and (1 - cos(a))/a^2 by sinc, which keep full precision down to a = 0.
     half = np.sinc(angle / (2 * np.pi))
     return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half * half * (cross @ cross)
+
+
+def cross_matrix(vector: np.ndarray) -> np.ndarray:
+    """(3, 3) matrix that multiplies by ``vector`` (3,) from the left: vector x."""
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+
+
+def vectors_across(direction: np.ndarray) -> np.ndarray:
+    """(2, 3) orthonormal rows that span the plane across the unit vector ``direction`` (3,)."""
+    first = np.cross(direction, np.eye(3)[np.argmin(np.abs(direction))])
+    first /= np.linalg.norm(first)
+    return np.array([first, np.cross(direction, first)])
 
 
 FARTHEST = 1e6
@@ -53,7 +65,9 @@ class Pose:
             value = getattr(self, name)
             if not abs(value) <= FARTHEST:
                 unit = "deg" if is_rotation(name) else "mm"
-                raise ValueError(f"pose {name} = {value}: must be a finite number of {unit}, at most {FARTHEST:g} in size")
+                raise ValueError(
+                    f"pose {name} = {value}: must be a finite number of {unit}, at most {FARTHEST:g} in size"
+                )
 
     @classmethod
     def parse(cls, text: str) -> Pose:
@@ -63,13 +77,17 @@ class Pose:
             name, _, value = item.partition("=")
             name = name.strip()
             if name not in DEGREES_OF_FREEDOM:
-                raise ValueError(f"pose {item!r}: unknown degree of freedom {name!r}, must be one of {', '.join(DEGREES_OF_FREEDOM)}")
+                raise ValueError(
+                    f"pose {item!r}: unknown degree of freedom {name!r}, must be one of {', '.join(DEGREES_OF_FREEDOM)}"
+                )
             if name in values:
                 raise ValueError(f"pose {text!r}: {name} is given twice")
             try:
                 values[name] = float(value)
             except ValueError:
-                raise ValueError(f"pose {item!r}: {value!r} is not a number, write for example x=0.02,ry=0.01") from None
+                raise ValueError(
+                    f"pose {item!r}: {value!r} is not a number, write for example x=0.02,ry=0.01"
+                ) from None
         return cls(**values)
 
     def __str__(self) -> str:
@@ -162,6 +180,11 @@ class PlaneGrid:
         """(3,) middle of the grid [mm]."""
         rows, columns = self.shape
         return self.origin + self.pitch * ((columns - 1) / 2 * self.u + (rows - 1) / 2 * self.v)
+
+    @property
+    def half_size(self) -> tuple[float, float]:
+        """Half the sides along u and v, to the outer edges of the pixels [mm]."""
+        return 0.5 * self.pitch * self.shape[1], 0.5 * self.pitch * self.shape[0]
 
     @property
     def columns(self) -> np.ndarray:

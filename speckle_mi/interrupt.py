@@ -1,8 +1,8 @@
-"""Ctrl-C and SIGTERM: a command ends at once, with one line and status 130, keeps what is finished and leaves no fragment.
+"""Ctrl-C and SIGTERM: a command ends at once, with one line and status 130, keeps what is finished, leaves no fragment.
 
-No exception is raised for it. One that reaches compiled code, while that is imported or calls back, ends there as a crash,
-an error of another kind, or nothing at all; and code that computes for long outside Python would not hear of it. A thread
-waits for the signals instead, and ends the process.
+No exception is raised for it. One that reaches compiled code, while that is imported or calls back, ends there as a
+crash, an error of another kind, or nothing at all; and code that computes for long outside Python would not hear of it.
+A thread waits for the signals instead, and ends the process.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _listening: list[int] = []
 
 
 def is_command(arguments: list[str], original: list[str]) -> bool:
-    """Whether Python is about to run one of the package's commands: ``sys.argv`` and ``sys.orig_argv`` as they are then."""
+    """Whether Python is about to run one of the package's commands, by ``sys.argv`` and ``sys.orig_argv`` then."""
     return arguments[:1] == ["-m"] and any(a.removeprefix("-m").startswith("speckle_mi.") for a in original)
 
 

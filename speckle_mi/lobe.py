@@ -19,7 +19,9 @@ def lobe_towards(assembly: Assembly, frame: Frame, directions: np.ndarray) -> np
     target = assembly.target
     bsdf = target.shape.bsdf()
     if mi.has_flag(bsdf.flags(), mi.BSDFFlags.Delta) and not mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth):
-        raise SceneError(f"{target.shape.where}: 'lobe' needs a rough BSDF, {bsdf.class_name()} reflects like a mirror only")
+        raise SceneError(
+            f"{target.shape.where}: 'lobe' needs a rough BSDF, {bsdf.class_name()} reflects like a mirror only"
+        )
     turned = frame.axes @ target.frame.axes.T
     normal = turned @ target.spot_normal
     tangent = turned @ target.frame.axes[:, 0]

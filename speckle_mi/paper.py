@@ -28,7 +28,9 @@ class PublishedAssembly:
     figures: dict[str, tuple[str, float]]
 
 
-def _figures(translation: tuple[float, float, float], rotation: tuple[float, float, float]) -> dict[str, tuple[str, float]]:
+def _figures(
+    translation: tuple[float, float, float], rotation: tuple[float, float, float]
+) -> dict[str, tuple[str, float]]:
     axes = {"x": "x", "y": "y", "z": "x", "rx": "y", "ry": "x", "rz": "y"}
     values = dict(zip(("x", "y", "z"), translation)) | dict(zip(("rx", "ry", "rz"), rotation))
     return {dof: (axes[dof], value) for dof, value in values.items()}
@@ -42,7 +44,10 @@ PUBLISHED = (
 )
 
 DOUBTFUL = {
-    ("both tilted", "rz"): "0.63 belongs to laser and detector on the same side; on opposite sides it is 0 to first order",
+    (
+        "both tilted",
+        "rz",
+    ): "0.63 belongs to laser and detector on the same side; on opposite sides it is 0 to first order",
 }
 """Figures that contradict the rest of the paper, and why."""
 

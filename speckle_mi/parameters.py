@@ -41,10 +41,14 @@ def check_number(
         limits.append(f"at most {at_most:g}{unit}")
     wanted = " and ".join(limits) if limits else f"a number{unit and f' in{unit}'}"
     if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
-        raise SceneError(f"{where}: parameter {name!r} is {value!r}, must be a number {wanted if limits else ''}".rstrip())
+        raise SceneError(
+            f"{where}: parameter {name!r} is {value!r}, must be a number {wanted if limits else ''}".rstrip()
+        )
     number = float(value)
     if math.isnan(number) or (math.isinf(number) and not infinite):
-        raise SceneError(f"{where}: parameter {name!r} is {number}, must be finite" + (f" and {wanted}" if limits else ""))
+        raise SceneError(
+            f"{where}: parameter {name!r} is {number}, must be finite" + (f" and {wanted}" if limits else "")
+        )
     if infinite and number == math.inf:
         return number
     outside = (
@@ -121,7 +125,8 @@ def check_rigid(where: str, matrix: np.ndarray) -> np.ndarray:
     axes = matrix[:3, :3]
     if np.max(np.abs(matrix[:3, 3])) > FARTHEST:
         raise SceneError(
-            f"{where}: 'to_world' moves by {np.max(np.abs(matrix[:3, 3])):g} mm, must stay within {FARTHEST:g} mm of the origin"
+            f"{where}: 'to_world' moves by {np.max(np.abs(matrix[:3, 3])):g} mm, "
+            f"must stay within {FARTHEST:g} mm of the origin"
         )
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=RIGID_TOLERANCE):
         raise SceneError(f"{where}: 'to_world' has the last row {matrix[3].tolist()}, must be 0 0 0 1 (no perspective)")

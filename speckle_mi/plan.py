@@ -11,10 +11,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .assembly import Assembly
-from .channel import Channel, Rim, detector_plane, rims_of
+from .channel import Channel, Rim, rims_of
 from .geometry import Frame, PlaneGrid
 from .optics.aim import aim
-from .optics.surfaces import Circle, Interaction, Rectangle, Sequence, Surface
+from .optics.surfaces import Circle, Sequence, Surface, detector_plane
 from .optics.trace import RayStatus, trace
 from .optics.unfold import unfold
 from .parameters import SceneError
@@ -22,7 +22,8 @@ from .routes import Route, find_routes, points_on
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 
 CLEAR_OF_EDGE = 25.0
-"""Fresnel parameter v of the nearest edge from which on it is not diffracted at: a straight edge's wave is then below 1 %."""
+"""Fresnel parameter v of the nearest edge from which on it is not diffracted at: a straight edge's wave is then below
+1 %."""
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, CLEAR_OF_EDGE)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
@@ -61,7 +62,9 @@ def make_plan(assembly: Assembly, frame: Frame) -> Plan:
     arrivals = find_routes(assembly)
     if not arrivals.routes:
         blocker = _main_blocker(arrivals.stopped)
-        return Plan((), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",))
+        return Plan(
+            (), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",)
+        )
     channels = tuple(_channel(assembly, frame, route) for route in arrivals.routes)
     lines = [line for channel in channels for line in channel.lines]
     if arrivals.in_area:
@@ -121,7 +124,9 @@ def _edges_beside(assembly: Assembly, channel: Channel, spots: np.ndarray) -> li
             "computed: put an aperture with the free part as its hole in its place, move it out of the light, or set "
             "diffraction to false for its geometric shadow"
         )
-    return [f"left out: the wave of the edge of {named}, which stands beside the light (at most {wave:.1%} of the field)"]
+    return [
+        f"left out: the wave of the edge of {named}, which stands beside the light (at most {wave:.1%} of the field)"
+    ]
 
 
 def _mirror_line(route: Route) -> list[str]:
@@ -135,13 +140,14 @@ def _mirror_line(route: Route) -> list[str]:
 def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple[Rim, ...], str]:
     """The openings to diffract at, and the reason in words."""
     if not channel.rims:
-        return (), _withoutrims_of(assembly, frame, channel)
+        return (), _without_rims(assembly, frame, channel)
     geometric, why_not = _geometric_view(assembly, frame, channel)
     if not assembly.options.diffraction:
         if geometric is None:
             raise SceneError(
-                f"way {channel.route.label}: {why_not}, so that the geometric field which diffraction=false asks for does "
-                "not exist all over it: set diffraction to true with an aperture in this way, block the way, or move the detector"
+                f"way {channel.route.label}: {why_not}, so that the geometric field which diffraction=false asks for "
+                "does not exist all over it: set diffraction to true with an aperture in this way, block the way, or "
+                "move the detector"
             )
         return (), "openings cast geometric shadows, as diffraction=false asks for"
     if geometric is not None:
@@ -174,7 +180,7 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
     return tuple(chosen), f"diffracted at {names}{note}"
 
 
-def _withoutrims_of(assembly: Assembly, frame: Frame, channel: Channel) -> str:
+def _without_rims(assembly: Assembly, frame: Frame, channel: Channel) -> str:
     if not channel.interactions:
         return "free space: the light meets nothing on this way"
     geometric, why_not = _geometric_view(assembly, frame, channel)
@@ -188,7 +194,10 @@ def _spot_samples(assembly: Assembly, frame: Frame) -> np.ndarray:
     target = assembly.target
     if target.points is not None:
         places = frame.to_world(target.points.points)
-        return np.unique(np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]), axis=0)
+        return np.unique(
+            np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
+            axis=0,
+        )
     size = assembly.beam.cutoff if np.isfinite(assembly.beam.radius) else np.inf
     size = min(size, 0.5 * float(np.ptp(target.surface.facets.bounds)))
     spot, _ = assembly.spot_at(frame)
@@ -198,8 +207,8 @@ def _spot_samples(assembly: Assembly, frame: Frame) -> np.ndarray:
 def _detector_samples(grid: PlaneGrid) -> np.ndarray:
     side = -np.cos(np.pi * (np.arange(_DETECTOR_SAMPLES) + 0.5) / _DETECTOR_SAMPLES)
     a, b = (values.ravel() for values in np.meshgrid(side, side))
-    half = 0.5 * grid.pitch
-    return grid.centre + (half * grid.shape[1] * a)[:, None] * grid.u + (half * grid.shape[0] * b)[:, None] * grid.v
+    half_u, half_v = grid.half_size
+    return grid.centre + (half_u * a)[:, None] * grid.u + (half_v * b)[:, None] * grid.v
 
 
 @dataclass(frozen=True)
@@ -212,7 +221,7 @@ class _View:
 
 
 def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[_View | None, str]:
-    """The rays from spot to detector; None and the reason where there is not exactly one for each pair, clear of a caustic."""
+    """The rays from spot to detector; None and the reason where not every pair has exactly one, clear of a caustic."""
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
     spots, pixels = _spot_samples(assembly, frame), _detector_samples(channel.grid)
     sources, targets = np.repeat(spots, len(pixels), axis=0), np.tile(pixels, (len(spots), 1))
@@ -231,13 +240,13 @@ def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple
 
 
 def _several_rays(channel: Channel, spot: np.ndarray) -> bool:
-    """Whether a fan of rays from the spot's middle finds a second ray to a pixel besides the one that is aimed at it."""
+    """Whether a fan of rays from the spot's middle finds a second ray to a pixel, besides the one aimed at it."""
     fan = points_on(channel.interactions[0].surface) - spot
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
     traced = trace(sequence, np.broadcast_to(spot, fan.shape), fan)
     grid, end = channel.grid, traced.points[-1] - channel.grid.centre
-    lands = traced.valid & (np.abs(end @ grid.u) <= 0.5 * grid.pitch * grid.shape[1])
-    lands &= np.abs(end @ grid.v) <= 0.5 * grid.pitch * grid.shape[0]
+    half_u, half_v = grid.half_size
+    lands = traced.valid & (np.abs(end @ grid.u) <= half_u) & (np.abs(end @ grid.v) <= half_v)
     if not np.any(lands):
         return False
     places = traced.points[-1, lands]
@@ -256,7 +265,7 @@ def _edge_wave(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> t
     point at the distance r from its middle, add up to J0(k R r / L), of which the rms is taken.
     """
     hit = rim.plane.frame.to_local(view.points[rim.number])
-    clearance = _clearance(rim.plane.outline, hit)
+    clearance = rim.plane.outline.clearance(hit[:, 0], hit[:, 1])
     nearest = int(np.argmin(clearance))
     pair = slice(nearest, nearest + 1)
     curvature = _curvature_over(channel, rim, view.sources[pair], view.targets[pair], view.points[rim.number, pair])
@@ -269,19 +278,12 @@ def _edge_wave(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> t
     return v, wave
 
 
-def _clearance(outline: Circle | Rectangle, local: np.ndarray) -> np.ndarray:
-    """Distance [mm] of local points (n, 3) inside an outline from its edge, (n,)."""
-    if isinstance(outline, Circle):
-        return outline.radius - np.hypot(local[:, 0], local[:, 1])
-    return np.minimum(outline.half_x - np.abs(local[:, 0]), outline.half_y - np.abs(local[:, 1]))
-
-
 def _curvature_over(channel: Channel, rim: Rim, source: np.ndarray, target: np.ndarray, hit: np.ndarray) -> float:
     """Smallest curvature [1/mm] of the path source - point of the rim's plane - target around the ray's own point."""
     frame = rim.plane.frame
     local = frame.to_local(hit)
     middle = frame.to_world(local * [1, 1, 0])
-    step = 1e-2 * _outline_size(rim.plane.outline)
+    step = 1e-2 * min(rim.plane.outline.half_size)
     offsets = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step
     places = middle + offsets[:, :1] * frame.axes[:, 0] + offsets[:, 1:] * frame.axes[:, 1]
     length = np.zeros(len(places))
@@ -299,12 +301,7 @@ def _curvature_over(channel: Channel, rim: Rim, source: np.ndarray, target: np.n
 def _halves(channel: Channel, rim: Rim) -> list[tuple[Sequence, bool]]:
     before = tuple(i for i in channel.interactions[: rim.position] if i.action != "pass")
     after = tuple(i for i in channel.interactions[rim.position :] if i.action != "pass")
-    plane = Interaction.through(Surface(rim.plane.frame), rim.index)
-    return [(Sequence((*before, plane)), False), (Sequence((*after, detector_plane(channel.grid))), True)]
-
-
-def _outline_size(outline: Circle | Rectangle) -> float:
-    return outline.radius if isinstance(outline, Circle) else min(outline.half_x, outline.half_y)
+    return [(Sequence((*before, rim.end)), False), (Sequence((*after, detector_plane(channel.grid))), True)]
 
 
 def _limiting(spot: np.ndarray, channel: Channel, candidates: list[Rim]) -> list[Rim]:
@@ -315,7 +312,7 @@ def _limiting(spot: np.ndarray, channel: Channel, candidates: list[Rim]) -> list
         places = _rim_points(rim.plane)
         before = tuple(i for i in channel.interactions[: rim.position] if i.action != "pass")
         source = np.broadcast_to(spot, places.shape)
-        aimed = aim(Sequence((*before, Interaction.through(Surface(rim.plane.frame), rim.index))), source, places)
+        aimed = aim(Sequence((*before, rim.end)), source, places)
         reached = aimed.converged
         free = np.zeros(len(places), dtype=bool)
         if np.any(reached):
@@ -330,10 +327,5 @@ def _limiting(spot: np.ndarray, channel: Channel, candidates: list[Rim]) -> list
 def _rim_points(plane: Surface) -> np.ndarray:
     """World points (n, 3) just inside an outline."""
     angle = 2 * np.pi * (np.arange(_RIM_POINTS) + 0.5) / _RIM_POINTS
-    x, y = np.cos(angle), np.sin(angle)
-    if isinstance(plane.outline, Circle):
-        x, y = plane.outline.radius * x, plane.outline.radius * y
-    else:
-        largest = np.maximum(np.abs(x), np.abs(y))
-        x, y = plane.outline.half_x * x / largest, plane.outline.half_y * y / largest
+    x, y = plane.outline.edge(angle)
     return plane.frame.to_world(_INSIDE_RIM * np.stack([x, y, 0 * x], axis=1))

@@ -19,7 +19,10 @@ _NOT_FOR_THE_PARSER = ("parallel", "optimize")
 
 
 def remember_transforms(mitsuba: ModuleType) -> None:
-    """Makes Mitsuba's loaders, which serve all variants, keep the transforms they would round and the shapes they would merge."""
+    """Makes Mitsuba's loaders keep the transforms they would round and the shapes they would merge.
+
+    The loaders serve all variants, and are changed once.
+    """
     for loader, parse in _LOADERS.items():
         load = getattr(mitsuba, loader)
         if not hasattr(load, _MARK):
@@ -82,7 +85,9 @@ def precise_transform(shape, target) -> np.ndarray:
 
 
 def _equal_but_for_rounding(exact: np.ndarray, rounded: np.ndarray) -> bool:
-    return bool(np.all(np.isfinite(rounded))) and bool(np.allclose(exact, rounded, rtol=1e-6, atol=1e-6 * np.abs(rounded).max()))
+    return bool(np.all(np.isfinite(rounded))) and bool(
+        np.allclose(exact, rounded, rtol=1e-6, atol=1e-6 * np.abs(rounded).max())
+    )
 
 
 def _of_cube(shape, known: np.ndarray | None) -> np.ndarray:

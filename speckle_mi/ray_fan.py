@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from speckle_mi.geometry import PlaneGrid
+from speckle_mi.geometry import PlaneGrid, vectors_across
 from speckle_mi.optics.aim import aim
 from speckle_mi.optics.surfaces import Sequence
 from speckle_mi.optics.trace import Log, RayStatus, march, zeros_between
@@ -109,8 +109,8 @@ class LaunchCones:
     """Which solid angle every source has to fill: a window of equal-area coordinates, linear in the source's place.
 
     axes: (3, 3) rows c, e1, e2, c the middle direction; centre: (3,) of the spot [mm]; window: (4,) p low, p high,
-    q low, q high for a source there, None where no light was found; slope: (3, 4) change [1/mm]; margin: (4,) what the linear
-    law leaves open.
+    q low, q high for a source there, None where no light was found; slope: (3, 4) change [1/mm]; margin: (4,) what the
+    linear law leaves open.
     """
 
     axes: np.ndarray
@@ -161,9 +161,7 @@ def _aimed_start(system: Sequence, grid: PlaneGrid, source: np.ndarray) -> tuple
     else:
         c = system.interactions[0].surface.frame.origin - source
         c = c / np.linalg.norm(c) if np.linalg.norm(c) > 0 else grid.normal
-    e1 = np.cross(c, np.eye(3)[np.argmin(np.abs(c))])
-    e1 /= np.linalg.norm(e1)
-    axes = np.stack([c, e1, np.cross(c, e1)])
+    axes = np.stack([c, *vectors_across(c)])
     for last in march(system, _launch_state(source, axes, np.zeros(1), np.zeros(1))):
         pass
     jacobian = last.state[:2, 2:4, 0]

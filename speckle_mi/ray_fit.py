@@ -19,8 +19,8 @@ FEWEST_ARRIVALS = 4
 MAXIMUM_DEGREE = 16
 """Of the polynomials: rounding is reached before, and the fit's cost grows with its fourth power."""
 DEPENDENT = 1e-12
-"""Mean square of a polynomial on the rays, relative to the largest, below which the rays do not tell it from
-the others."""
+"""Mean square of a polynomial on the rays, relative to the largest, below which the rays do not tell it from the
+others."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,8 @@ class Arrivals:
 
     rays: all of the lattice; box: (2, 2) low and high corner of the region that they are interpolated in [mm];
     lit: (n,) free and on the detector; used: (n,) lent to the interpolation; lines: of the lattice that hold such rays,
-    along p and q; rim_cuts: rims, and not the detector's edges, bound
-    the light; ragged: light ends next to rays that do not exist, not at a rim; solid_angle: of one ray [sr].
+    along p and q; rim_cuts: rims, and not the detector's edges, bound the light; ragged: light ends next to rays that
+    do not exist, not at a rim; solid_angle: of one ray [sr].
     """
 
     rays: Rays
@@ -142,8 +142,8 @@ class Fit:
 
 
 def _euclidean_degree(lines: tuple[int, int], count: int) -> np.ndarray:
-    """Mask (d1+1, d2+1) of the products T_i T_j with (i/d1)^2 + (j/d2)^2 <= 1, all that serve a function
-    without directions.
+    """Mask (d1+1, d2+1) of the products T_i T_j with (i/d1)^2 + (j/d2)^2 <= 1: what a function without preferred
+    directions needs.
 
     d = 2 sqrt(lines) along each axis, less where ``count`` rays are too few for it. L. N. Trefethen, "Multivariate
     polynomial approximation in the hypercube", Proc. AMS 145 (2017), doi:10.1090/proc/13623.

@@ -13,8 +13,8 @@ Chebyshev polynomials through all rays of a source (least squares) and not linea
 a rim lends its path to the interpolation next to the edge, so that the clearance's zero places the edge between rays.
 
 Relative error of the field on the paper's detector (744 x 480 pixels at 60 mm, free space) against the exact sum: 16
-rays a source 2e-2, 36: 7e-4, 64: 4e-6, 100: 2e-7, 400 and more: 1e-10, the rounding of the path. Linear interpolation of
-1500 rays: 0.3. Lenses out of focus with 1500 rays: 1e-10 to 1e-6, the more the closer to the focus.
+rays a source 2e-2, 36: 7e-4, 64: 4e-6, 100: 2e-7, 400 and more: 1e-10, the rounding of the path. Linear interpolation
+of 1500 rays: 0.3. Lenses out of focus with 1500 rays: 1e-10 to 1e-6, the more the closer to the focus.
 The polynomials' degree d ~ 2 N2^(1/4) is what regularly spaced rays determine stably (L. N. Trefethen, "Approximation
 Theory and Approximation Practice", SIAM 2013, ch. 13), so the error falls like exp(-C N2^(1/4)).
 """

@@ -27,7 +27,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--pose", default="", metavar="x=0.02,ry=0.01", help="displacement of the target (mm, deg)")
     parser.add_argument("--sources", metavar="F.npz", help="also write what the sum was made of")
     parser.add_argument(
-        "--per-source", type=int, default=0, metavar="K", help="also write the fields of the first K scatterers, as layers"
+        "--per-source",
+        type=int,
+        default=0,
+        metavar="K",
+        help="also write the fields of the first K scatterers, as layers",
     )
     parser.add_argument("--spp", type=int, default=0, help="sub-pixels a pixel that the intensity is averaged over")
     add_force(parser)

@@ -75,7 +75,9 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
 
 def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, result: SweepResult, summary: dict) -> None:
     """Writes the speckle image, the decorrelation curves and, for every motion, the shifts along its main axes."""
-    plot_speckle(folder / "speckle.png", result.example, assembly.detector.pitch, f"Surface {settings.seeds[0]} at rest")
+    plot_speckle(
+        folder / "speckle.png", result.example, assembly.detector.pitch, f"Surface {settings.seeds[0]} at rest"
+    )
     plot_decorrelation(
         folder / "decorrelation.png",
         {dof: settings.displacements for dof in settings.dofs},
@@ -90,7 +92,7 @@ def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, resul
             )
 
 
-def print_report(assembly: Assembly, settings: SweepSettings, summary: dict) -> None:
+def print_report(summary: dict) -> None:
     """Prints the plan, the sensitivities on the detector and on the target's axes, and the errors."""
     console = Console(width=None if os.isatty(1) else 120, highlight=False)
     for line in summary["plan"]:
@@ -110,7 +112,7 @@ def print_report(assembly: Assembly, settings: SweepSettings, summary: dict) -> 
 
 
 def _sensitivity_table(title: str, axes: tuple[str, str], summary: dict) -> Table:
-    """A row a motion: simulated and theoretical sensitivity along two axes, scatter, and the paper's figure if it has one."""
+    """A row a motion: simulated and theoretical sensitivity along two axes, scatter, and the paper's figure if any."""
     comparison = summary["paper"]
     published = comparison is not None and any(entry["axis"] in axes for entry in comparison["figures"].values())
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")

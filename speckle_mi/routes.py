@@ -15,9 +15,9 @@ import numpy as np
 
 from .assembly import Assembly
 from .elements import Element
-from .geometry import Frame
+from .geometry import Frame, vectors_across
 from .optics.aim import aim
-from .optics.surfaces import Interaction, Sequence, Surface
+from .optics.surfaces import Interaction, Sequence, Surface, detector_plane
 from .optics.trace import RayStatus, trace
 from .parameters import value_of
 
@@ -130,8 +130,7 @@ def _can_be_aimed(assembly: Assembly, start: np.ndarray, clearance: float, route
     targets = np.array([grid.centre + a * half_u * grid.u + b * half_v * grid.v for a, b in signs])
     if not route.interactions:
         return False  # the straight way needs no aim: a test ray goes to each part of the detector
-    plane = Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1)))
-    sequence = Sequence((*route.interactions, Interaction.through(plane)))
+    sequence = Sequence((*route.interactions, detector_plane(grid)))
     aimed = aim(sequence, np.broadcast_to(start, targets.shape), targets)
     free = aimed.converged & np.all(aimed.margins >= 0, axis=0)
     if not np.any(free):
@@ -151,9 +150,10 @@ def _routes(elements: tuple[Element, ...], arrived: dict) -> tuple[Route, ...]:
 class _Rays:
     """Test rays on their way, and what became of those that have ended.
 
-    origin, direction: (n, 3); clearance: by which they start off a surface [mm]; alive: (n,); inside: (n,) number of the glass a ray is in, -1 for none; steps and
-    interactions: what each ray has met; arrived, passed_by: steps -> (rays, interactions) of those that ended in the
-    detector's area, and beside it; stopped: rays that each element ended.
+    origin, direction: (n, 3); clearance: by which they start off a surface [mm]; alive: (n,); inside: (n,) number of
+    the glass a ray is in, -1 for none; steps and interactions: what each ray has met; arrived, passed_by: steps ->
+    (rays, interactions) of those that ended in the detector's area, and beside it; stopped: rays that each element
+    ended.
     """
 
     def __init__(self, origin: np.ndarray, direction: np.ndarray, clearance: float) -> None:
@@ -192,7 +192,7 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     The user's own scatterers radiate to all sides.
     """
     (spot, normal), grid = assembly.spot_at(frame), assembly.detector
-    half_u, half_v = 0.5 * grid.pitch * grid.shape[1], 0.5 * grid.pitch * grid.shape[0]
+    half_u, half_v = grid.half_size
     side = (np.arange(_DETECTOR_RAYS) + 0.5) / _DETECTOR_RAYS * 2 - 1
     a, b = (values.ravel() for values in np.meshgrid(side, side))
     targets = [grid.centre[None], grid.centre + a[:, None] * half_u * grid.u + b[:, None] * half_v * grid.v]
@@ -208,29 +208,25 @@ def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
     height = 1 - number / _HEMISPHERE_RAYS
     azimuth = np.pi * (1 + 5**0.5) * number
     ring = np.sqrt(1 - height**2)
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    first /= np.linalg.norm(first)
-    second = np.cross(normal, first)
-    around = (ring * np.cos(azimuth))[:, None] * first + (ring * np.sin(azimuth))[:, None] * second + height[:, None] * normal
+    first, second = vectors_across(normal)
+    around = (
+        (ring * np.cos(azimuth))[:, None] * first
+        + (ring * np.sin(azimuth))[:, None] * second
+        + height[:, None] * normal
+    )
     directions = np.concatenate([towards, around])
     length = np.linalg.norm(directions, axis=1)
     directions = directions[length > 0] / length[length > 0, None]
     return directions if all_around else directions[directions @ normal > 1e-6]
 
 
-def points_on(face) -> np.ndarray:
-    """World points (n, 3) spread over a face inside its rim."""
+def points_on(face: Surface) -> np.ndarray:
+    """World points (n, 3) spread over a face inside its rim, or over half of a sphere."""
     number = np.arange(_ELEMENT_RAYS**2) + 0.5
     radius, angle = np.sqrt(number / _ELEMENT_RAYS**2), np.pi * (1 + 5**0.5) * number
-    outline = face.outline
-    if outline is None:
-        size = (1 / face.curvature,) * 2
-    else:
-        size = (outline.radius,) * 2 if hasattr(outline, "radius") else (outline.half_x, outline.half_y)
-    x, y = size[0] * radius * np.cos(angle), size[1] * radius * np.sin(angle)
-    squared = face.curvature * (x * x + y * y)
-    z = squared / (1 + np.sqrt(np.maximum(1 - (1 + face.conic) * face.curvature * squared, 0)))
-    return face.frame.to_world(np.stack([x, y, z], axis=1))
+    half_x, half_y = face.outline.half_size if face.outline else (1 / face.curvature,) * 2
+    x, y = half_x * radius * np.cos(angle), half_y * radius * np.sin(angle)
+    return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
 
 
 def _advance(assembly: Assembly, rays: _Rays) -> None:
@@ -285,7 +281,10 @@ def _pass_openings(elements: tuple[Element, ...], rays: _Rays, index: np.ndarray
 
 def _next_shapes(assembly: Assembly, rays: _Rays, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Number of the element each ray meets next, or TARGET or NOTHING, and its distance [mm]."""
-    single = [np.ascontiguousarray(rays.origin[index].T, np.float32), np.ascontiguousarray(rays.direction[index].T, np.float32)]
+    single = [
+        np.ascontiguousarray(rays.origin[index].T, np.float32),
+        np.ascontiguousarray(rays.direction[index].T, np.float32),
+    ]
     ray = mi.Ray3f(mi.Point3f(*map(mi.Float, single[0])), mi.Vector3f(*map(mi.Float, single[1])))
     hit = assembly.obstacles.ray_intersect_preliminary(ray)
     distance = np.array(hit.t, dtype=np.float64)
@@ -297,16 +296,17 @@ def _next_shapes(assembly: Assembly, rays: _Rays, index: np.ndarray) -> tuple[np
     return number, distance
 
 
-def _distance_to_detector(assembly: Assembly, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _distance_to_detector(
+    assembly: Assembly, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Distance [mm] to the detector's plane along rays that come from its front, else inf; and whether in its area."""
     grid = assembly.detector
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = direction @ grid.normal
         distance = (grid.centre - origin) @ grid.normal / slope
         hit = origin + distance[:, None] * direction - grid.centre
-        inside = (np.abs(hit @ grid.u) <= 0.5 * grid.pitch * grid.shape[1]) & (
-            np.abs(hit @ grid.v) <= 0.5 * grid.pitch * grid.shape[0]
-        )
+        half_u, half_v = grid.half_size
+        inside = (np.abs(hit @ grid.u) <= half_u) & (np.abs(hit @ grid.v) <= half_v)
     # Outside the area the plane is thin air, where a ray ends only if it meets nothing else: the caller compares.
     reached = (slope < 0) & (distance > 0)
     inside &= reached
@@ -316,7 +316,7 @@ def _distance_to_detector(assembly: Assembly, origin: np.ndarray, direction: np.
 def screen_crossing(
     element: Element, origin: np.ndarray, direction: np.ndarray, clearance: float = _CLEARANCE
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distance (n,) [mm] to the plane of an opening's screen, whether it is crossed in the hole, and in the screen itself."""
+    """Distance (n,) [mm] to the plane of an opening's screen; whether it is crossed in the hole; or on the screen."""
     face = element.faces[0]
     local, slope = face.frame.to_local(origin), direction @ face.frame.axes
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -362,7 +362,9 @@ def _interact(element: Element, number: int, face: int, within: bool, rays: _Ray
     _go_on(element, (number, face, interaction.action), interaction, rays, index, inside)
 
 
-def _go_on(element: Element, step: tuple, interaction: Interaction, rays: _Rays, index: np.ndarray, inside: int) -> None:
+def _go_on(
+    element: Element, step: tuple, interaction: Interaction, rays: _Rays, index: np.ndarray, inside: int
+) -> None:
     """Moves rays through an interaction; ``inside`` is the glass they are in afterwards, -2 for the same as before."""
     if not len(index):
         return

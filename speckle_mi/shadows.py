@@ -1,8 +1,8 @@
 """Shadows on the detector and on openings: of rims on the way, and of shapes that stand beside or in it.
 
 A way of the light through elements has the rims of these as smooth clearances; every other shape of the scene may still
-stand between two of its surfaces. Both are judged ray by ray, and each scatterer has its own shadow: many share those of
-the patches of the spot that they lie in.
+stand between two of its surfaces. Both are judged ray by ray, and each scatterer has its own shadow: many share those
+of the patches of the spot that they lie in.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from .assembly import Assembly
-from .channel import Channel, Rim, detector_plane
+from .channel import Channel, Rim
 from .geometry import PlaneGrid
 from .optics.aim import aim
-from .optics.surfaces import Circle, Interaction, Sequence, Surface
+from .optics.surfaces import Interaction, Sequence, Surface, detector_plane
 from .optics.trace import RayStatus, trace
 from .propagation.chebyshev import chebyshev_nodes, interpolation_matrix
 from .routes import NOTHING, TARGET
@@ -43,24 +43,18 @@ _RING_SAMPLES, _ANGLE_SAMPLES = 5, 12
 
 def opening_samples(plane: Surface) -> np.ndarray:
     """World points (n, 3) spread over an opening: its centre, and rings out to the rim."""
-    outline = plane.outline
     share = np.arange(1, _RING_SAMPLES + 1) / _RING_SAMPLES
     angle = 2 * np.pi * np.arange(_ANGLE_SAMPLES) / _ANGLE_SAMPLES
-    x, y = (np.outer(share, f(angle)).ravel() for f in (np.cos, np.sin))
-    if isinstance(outline, Circle):
-        x, y = outline.radius * x, outline.radius * y
-    else:
-        largest = np.maximum(np.abs(np.cos(angle)), np.abs(np.sin(angle)))
-        stretch = np.tile(1 / largest, _RING_SAMPLES)
-        x, y = outline.half_x * x * stretch, outline.half_y * y * stretch
-    x, y = np.append(0.0, x), np.append(0.0, y)
+    x, y = (np.append(0.0, np.outer(share, edge)) for edge in plane.outline.edge(angle))
     return plane.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
 
 
 def detector_samples(grid: PlaneGrid) -> np.ndarray:
     """World points (25, 3) over the detector, edges included."""
     side = np.linspace(-1, 1, 5)
-    return _places(grid, side * grid.shape[0] / max(grid.shape[0] - 1, 1), side * grid.shape[1] / max(grid.shape[1] - 1, 1))
+    return _places(
+        grid, side * grid.shape[0] / max(grid.shape[0] - 1, 1), side * grid.shape[1] / max(grid.shape[1] - 1, 1)
+    )
 
 
 def extremes(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -83,8 +77,8 @@ def shadowed_sum(
 
     sources: (n, 3); lit_from(source (3,), only) -> bool of the shape of the field, right where ``only`` is (None:
     everywhere); sum_over(group, places) -> the field of the scatterers with the indices ``group`` at the places (bool)
-    alone, 1-D; whole: the field of all without shadows. Up to ``most`` scatterers have each their own shadow, more share
-    those of as many patches of the spot; the error is then what four times fewer patches change, relative L2.
+    alone, 1-D; whole: the field of all without shadows. Up to ``most`` scatterers have each their own shadow, more
+    share those of as many patches of the spot; the error is then what four times fewer patches change, relative L2.
     """
     few = [lit_from(sources[group].mean(axis=0), None) for group in _groups(sources, min(most, _FEW_SHADOWS))]
     mixed = np.any(few, axis=0) & ~np.all(few, axis=0)
@@ -99,7 +93,7 @@ def shadowed_sum(
 
 
 def _with_own_shadows(groups, sources, lit_from, sum_over, steady, whole, near) -> tuple[np.ndarray, float]:
-    """``steady`` with the field at the places ``near`` a shadow's edge, and the share of places in full or partial shadow."""
+    """``steady`` with the field at the places ``near`` a shadow's edge, and the share of places that shadows touch."""
     field = steady.copy()
     if np.any(near):
         lit = np.array([np.packbits(lit_from(sources[group].mean(axis=0), near)[near]) for group in groups])
@@ -114,7 +108,7 @@ def _with_own_shadows(groups, sources, lit_from, sum_over, steady, whole, near) 
 
 
 def _groups(sources: np.ndarray, most: int) -> list[np.ndarray]:
-    """Index arrays of scatterers that share a shadow: each alone, or at most ``most`` patches of a lattice over the spot."""
+    """Index arrays of scatterers that share a shadow: each alone, or in at most ``most`` patches of the spot."""
     if len(sources) <= most:
         return [np.array([k]) for k in range(len(sources))]
     centred = sources - sources.mean(axis=0)
@@ -174,7 +168,12 @@ def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarra
 
 
 def lit_pixels(
-    assembly: Assembly, channel: Channel, source: np.ndarray, grid: PlaneGrid, only: np.ndarray | None = None, rims: bool = True
+    assembly: Assembly,
+    channel: Channel,
+    source: np.ndarray,
+    grid: PlaneGrid,
+    only: np.ndarray | None = None,
+    rims: bool = True,
 ) -> np.ndarray:
     """Whether each pixel (rows, columns) is lit from one source (3,): no shape, and no rim, in the way.
 
@@ -206,9 +205,13 @@ class _Part:
         count = len(channel.interactions)
         first, last = start.position if start else 0, end.position if end else count
         # An opening is a place of its own: its plane is not passed a second time.
-        inner = [i for i in range(first, last) if not (start and i == start.number and channel.interactions[i].action == "pass")]
+        inner = [
+            i
+            for i in range(first, last)
+            if not (start and i == start.number and channel.interactions[i].action == "pass")
+        ]
         places = (start.number + 1 if start else 0, *(i + 1 for i in inner), end.number + 1 if end else count + 1)
-        plane = Interaction.through(Surface(end.plane.frame), end.index) if end else detector_plane(channel.grid)
+        plane = end.end if end else detector_plane(channel.grid)
         return cls(channel, places, tuple(channel.interactions[i] for i in inner), plane)
 
     def rays(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -241,7 +244,8 @@ class _Part:
     ) -> np.ndarray:
         """Whether places of a detector are lit from one source (3,), bool of ``shape``, from edge pixel to edge pixel.
 
-        Rays and clearances are interpolated from few that are traced. only: where shapes are looked for, bool of ``shape``.
+        Rays and clearances are interpolated from few that are traced. only: where shapes are looked for, bool of
+        ``shape``.
         """
         chosen = np.ones(shape, dtype=bool) if only is None else only
         lit = chosen.copy()
@@ -270,7 +274,10 @@ class _Part:
     def _folded(self, assembly: Assembly, points: np.ndarray) -> np.ndarray:
         """Points (p, n, 3) of rays where they are in the scene."""
         seen = [*(i.surface.frame for i in self.channel.interactions), detector_plane(self.channel.grid).surface.frame]
-        real = [*(i.surface.frame for i in self.channel.route.interactions), detector_plane(assembly.detector).surface.frame]
+        real = [
+            *(i.surface.frame for i in self.channel.route.interactions),
+            detector_plane(assembly.detector).surface.frame,
+        ]
         folded = np.array(points)
         for row, place in enumerate(self.places):
             if place > 0:
@@ -279,8 +286,10 @@ class _Part:
 
 
 def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """World points (m n, 3) on the detector, row by row, at shares (m,), (n,) of the way from its middle to the edge pixels."""
-    a, b = (0.5 * grid.pitch * (count - 1) * share for count, share in zip(grid.shape[::-1], (along, down), strict=True))
+    """World points (m n, 3) on the detector, row by row, at shares (m,), (n,) of the way from middle to edge pixels."""
+    a, b = (
+        0.5 * grid.pitch * (count - 1) * share for count, share in zip(grid.shape[::-1], (along, down), strict=True)
+    )
     return (grid.centre + b[:, None, None] * grid.v + a[None, :, None] * grid.u).reshape(-1, 3)
 
 
@@ -293,7 +302,7 @@ def lit_nodes(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray
 
 
 def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
-    """Whether a rim that light is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
+    """Whether a rim that is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
     outermost, samples = extremes(sources, axes), opening_samples(rim.plane)
     starts, over = np.repeat(outermost, len(samples), axis=0), np.tile(samples, (len(outermost), 1))
     return not np.all(_clearance_over(channel, rim, starts, over) > _SAFE_MARGIN)
@@ -305,11 +314,13 @@ def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.n
     rows = [row for row, (number, _) in enumerate(Sequence(channel.interactions).rims) if number not in chosen]
     if not rows:
         return np.empty((0, len(points)))
-    before = aim(Sequence((*channel.leg(0), Interaction.through(Surface(rim.plane.frame), rim.index))), source, points)
+    before = aim(Sequence((*channel.leg(0), rim.end)), source, points)
     clearance = np.full((len(rows), len(points)), -1.0)
     reached = np.flatnonzero(before.converged)
     # Where the ray goes on behind the opening decides about the rims there.
-    whole = trace(Sequence((*channel.interactions, detector_plane(channel.grid))), source[reached], before.launch[reached])
+    whole = trace(
+        Sequence((*channel.interactions, detector_plane(channel.grid))), source[reached], before.launch[reached]
+    )
     alive = whole.status <= RayStatus.OUTSIDE_OUTLINE
     clearance[:, reached[alive]] = whole.margins[np.ix_(rows, alive)]
     return clearance
@@ -338,5 +349,7 @@ def hidden_pixels(assembly: Assembly, channel: Channel) -> np.ndarray | None:
     hidden = ~np.all([part.lit(assembly, start, grid, shape, rims=True) for start in outer], axis=0)
     if not np.any(hidden):
         return None
-    rows, columns = (np.rint(np.linspace(0, few - 1, count)).astype(int) for few, count in zip(shape, grid.shape, strict=True))
+    rows, columns = (
+        np.rint(np.linspace(0, few - 1, count)).astype(int) for few, count in zip(shape, grid.shape, strict=True)
+    )
     return hidden[np.ix_(rows, columns)]

@@ -10,8 +10,8 @@ from . import __version__
 from .assembly import Assembly
 from .channel import Channel
 from .exr import FieldImage
-from .geometry import Frame, Pose
 from .fields import ChannelField, channel_field, ray_channel
+from .geometry import Frame, Pose
 from .plan import Plan, make_plan
 from .surface import Scatterers, illuminated_points, illuminated_scatterers
 from .visibility import pixels_in_view, visible_scatterers
@@ -122,7 +122,11 @@ def _field(
     """Sum of all channels' fields at the pixel centres, shifted by ``offset`` pixels along u and v."""
     lines = list(plan.lines)
     if scatterers.count == 0 or not plan.channels:
-        return np.zeros(assembly.detector.shape, complex), [*lines, "nothing is summed: no light reaches the detector"], 0.0
+        return (
+            np.zeros(assembly.detector.shape, complex),
+            [*lines, "nothing is summed: no light reaches the detector"],
+            0.0,
+        )
     parts = [_part(assembly, frame, scatterers, channel, offset) for channel in plan.channels]
     lines += [line for part in parts for line in part.lines]
     if len(parts) == 1:

@@ -197,11 +197,13 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     total = float(np.sum(count))
     if total > MAX_CELLS:
         raise ValueError(
-            f"the target's scatterers: about {total:.2g} lie under the beam or on the patch (some {total * 50 / 1e9:.3g} GB), "
-            f"must be at most {MAX_CELLS:.0e}: reduce point_sources or the lit area"
+            f"the target's scatterers: about {total:.2g} lie under the beam or on the patch "
+            f"(some {total * 50 / 1e9:.3g} GB), must be at most {MAX_CELLS:.0e}: reduce point_sources or the lit area"
         )
     start = np.concatenate([[0], np.cumsum(count)[:-1]]) if len(count) else np.zeros(0)
-    return _Cells(np.flatnonzero(meets), first.astype(np.int64), size.astype(np.int64), start.astype(np.int64), int(total))
+    return _Cells(
+        np.flatnonzero(meets), first.astype(np.int64), size.astype(np.int64), start.astype(np.int64), int(total)
+    )
 
 
 def _footprint(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
@@ -216,7 +218,8 @@ def _footprint(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarray, np
     basis = np.stack([facets.e1, facets.e2], axis=-1)  # (f, 3, 2)
     along = np.einsum("k,fkc->fc", axis, basis)
     metric = np.eye(2) - along[:, :, None] * along[:, None, :]
-    # The nearest approach of the axis to the facet's plane, by least squares: M s = E^T (1 - b b^T) (reference - origin).
+    # The nearest approach of the axis to the facet's plane, by least squares:
+    # M s = E^T (1 - b b^T) (reference - origin).
     offset = reference - facets.origin
     offset = offset - (offset @ axis)[:, None] * axis
     right = np.einsum("fk,fkc->fc", offset, basis)

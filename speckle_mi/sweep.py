@@ -135,17 +135,23 @@ def main(arguments: Sequence[str] | None = None) -> None:
     summary["seconds_total"] = time.perf_counter() - start
     report.write_summary(folder / "summary.json", summary)
     if not options.quiet:
-        report.print_report(assembly, settings, summary)
+        report.print_report(summary)
         say(options, f"{folder}: frames, sweep.csv, summary.json and plots, {summary['seconds_total']:.1f} s in all")
 
 
 def _parser():
     parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
-    parser.add_argument("--dof", default=",".join(DEGREES_OF_FREEDOM), metavar="x,y,z,rx,ry,rz", help="motions to sweep")
-    parser.add_argument("--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)")
+    parser.add_argument(
+        "--dof", default=",".join(DEGREES_OF_FREEDOM), metavar="x,y,z,rx,ry,rz", help="motions to sweep"
+    )
+    parser.add_argument(
+        "--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)"
+    )
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
     parser.add_argument("--seeds", type=int, default=8, help="number of surfaces (default: %(default)s)")
-    parser.add_argument("--window", type=int, default=None, help="side of the correlation window, px (default: 256; the paper's: 64)")
+    parser.add_argument(
+        "--window", type=int, default=None, help="side of the correlation window, px (default: 256; the paper's: 64)"
+    )
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
     add_force(parser)
     return parser
@@ -169,7 +175,8 @@ def _settings(options) -> SweepSettings:
     frames = options.seeds * (1 + len(dofs) * options.steps)
     if frames > MAX_FRAMES:
         raise ValueError(
-            f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, must be at most {MAX_FRAMES:.0e}"
+            f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, "
+            f"must be at most {MAX_FRAMES:.0e}"
         )
     for dof in dofs:
         Pose(**{dof: options.range / 2})  # says so when that is out of the world
@@ -203,11 +210,16 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
         except ValueError:
             held = None
         refuse_other_settings(folder, held, identity, force)
-    elif folder.is_dir() and any(folder.iterdir()) and not force and not settings_file.is_file():
+    elif folder.is_dir() and any(folder.iterdir()) and not force:
         raise ValueError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
     if force:
-        for stale in (*folder.glob("frames/*.exr"), *folder.glob("*.png"), folder / "summary.json", folder / "sweep.csv"):
+        for stale in (
+            *folder.glob("frames/*.exr"),
+            *folder.glob("*.png"),
+            folder / "summary.json",
+            folder / "sweep.csv",
+        ):
             stale.unlink(missing_ok=True)
     write_json(settings_file, identity)
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from speckle_mi.geometry import Pose
+from speckle_mi.geometry import Pose, cross_matrix, vectors_across
 
 UNIT_TOLERANCE = 1e-6
 """How far the length of a direction, or a right angle, may be off [1]; scene files give about seven digits."""
@@ -76,7 +76,7 @@ def _plane_displacement(spot, origin, axes, source_direction, wavefront_radius, 
     axes = _frame_axes(axes)
     to_laser = _unit("source_direction", source_direction)
     normal = axes[:, 2] if normal is None else _unit("normal", normal)
-    tangents = _tangents(normal)
+    tangents = vectors_across(normal)
     across = _across(sight)
     plane_normal = np.cross(plane[:, 0], plane[:, 1])
     for name, cosine in (("target", sight @ normal), ("detector", sight @ plane_normal)):
@@ -86,7 +86,7 @@ def _plane_displacement(spot, origin, axes, source_direction, wavefront_radius, 
                 f"{cosine:.1e}), must be inclined to it"
             )
     material = _motion_of_point(spot, origin, axes)
-    turned = np.hstack([np.zeros((3, 3)), -_cross(to_laser + sight) @ axes])
+    turned = np.hstack([np.zeros((3, 3)), -cross_matrix(to_laser + sight) @ axes])
     illumination = distance * _curvature(wavefront_radius) * _across(to_laser)
     change = (across + illumination) @ material + distance * turned
     return np.linalg.solve(tangents @ across @ plane, tangents @ change)
@@ -190,7 +190,11 @@ def centre_of_gravity_aperture(
 
 
 def spot_displacement(
-    spot: np.ndarray, origin: np.ndarray, axes: np.ndarray, source_direction: np.ndarray, normal: np.ndarray | None = None
+    spot: np.ndarray,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    source_direction: np.ndarray,
+    normal: np.ndarray | None = None,
 ) -> np.ndarray:
     """(3, 6) displacement of the laser's spot along the fixed beam axis, dS = l_S (n . a)/(n . l_S), world.
 
@@ -236,7 +240,9 @@ def decorrelation_axial(
     """
     curvature = 1 / require_positive("detector_distance", detector_distance) ** 2 + _curvature(wavefront_radius) ** 2
     wavenumber = 2 * np.pi / require_positive("wavelength", wavelength)
-    phase = wavenumber * require_positive("beam_radius", beam_radius) ** 2 / 4 * np.asarray(motion, np.float64) * curvature
+    phase = (
+        wavenumber * require_positive("beam_radius", beam_radius) ** 2 / 4 * np.asarray(motion, np.float64) * curvature
+    )
     return 1 / (1 + phase**2)
 
 
@@ -301,8 +307,10 @@ def speckle_shape_gaussian_beam(
     to_laser, normal = _unit("source_direction", source_direction), _unit("normal", normal)
     if abs(to_laser @ normal) < GRAZING_COSINE:
         raise ValueError(f"grazing illumination: source_direction {_text(to_laser)} lies in the surface, must leave it")
-    tangents = _tangents(normal)
-    footprint = require_positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(tangents @ _across(to_laser) @ tangents.T)
+    tangents = vectors_across(normal)
+    footprint = require_positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(
+        tangents @ _across(to_laser) @ tangents.T
+    )
     gradient = tangents @ _across(sight / distance) @ _detector_axes(u, v) / distance
     return (np.pi / require_positive("wavelength", wavelength)) ** 2 * gradient.T @ footprint @ gradient
 
@@ -338,7 +346,9 @@ def shift_scatter(
     """
     correlation = np.asarray(correlation, dtype=np.float64)
     lost = np.where(correlation > 0, (1 - correlation) / np.where(correlation > 0, correlation, 1.0), np.inf)
-    scale = factor * require_positive("speckle_size_px", speckle_size_px) ** 2 / require_positive("window_px", window_px)
+    scale = (
+        factor * require_positive("speckle_size_px", speckle_size_px) ** 2 / require_positive("window_px", window_px)
+    )
     return scale * np.sqrt(np.maximum(lost, 0.0))
 
 
@@ -348,25 +358,12 @@ def shift_scatter(
 def _motion_of_point(point: np.ndarray, origin: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """(3, 6) displacement of a point of the target per unit motion: translation + Omega x (point - origin)."""
     arm = np.asarray(point, dtype=np.float64) - np.asarray(origin, dtype=np.float64)
-    return np.hstack([axes, -_cross(arm) @ axes])
-
-
-def _cross(vector: np.ndarray) -> np.ndarray:
-    """(3, 3) matrix of vector x."""
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.hstack([axes, -cross_matrix(arm) @ axes])
 
 
 def _across(direction: np.ndarray) -> np.ndarray:
     """(3, 3) projection 1 - l l^T on the plane across a unit vector."""
     return np.eye(3) - np.outer(direction, direction)
-
-
-def _tangents(normal: np.ndarray) -> np.ndarray:
-    """(2, 3) orthonormal rows that span the plane across ``normal``."""
-    first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    first /= np.linalg.norm(first)
-    return np.array([first, np.cross(normal, first)])
 
 
 def _curvature(wavefront_radius: float) -> float:

@@ -1,4 +1,4 @@
-"""Which lit scatterers the detector sees: those that face it and that the target itself does not hide."""
+"""What hides light: the target itself from the detector, and the shapes that stand in a way of the light."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from .assembly import Assembly
 from .elements import Element
-from .geometry import Frame, PlaneGrid
+from .geometry import Frame, PlaneGrid, vectors_across
 from .routes import TARGET, screen_crossing
 from .surface import Scatterers
 
@@ -29,8 +29,8 @@ def visible_scatterers(
     """The scatterers that the laser and one of the viewpoints (3,) see, and a warning or an empty text.
 
     A viewpoint is where light goes first: an element, or the detector's centre. A bare detector sees only what lies in
-    front of it. The user's own points radiate to all sides; a flat patch to its front; on a mesh, rays towards laser and
-    viewpoint test whether the target shades itself.
+    front of it. The user's own points radiate to all sides; a flat patch to its front; on a mesh, rays towards laser
+    and viewpoint test whether the target shades itself.
     """
     free = assembly.target.points is not None
     seen = np.full(lit.count, free)
@@ -49,7 +49,7 @@ def visible_scatterers(
 def _note_of_horizon(assembly: Assembly, lit: Scatterers, seen: np.ndarray) -> str:
     """A warning when parts of the detector see other parts of a curved surface than its centre does."""
     grid = assembly.detector
-    half_u, half_v = (0.5 * grid.pitch * n for n in (grid.shape[1], grid.shape[0]))
+    half_u, half_v = grid.half_size
     partly = np.zeros(lit.count, dtype=bool)
     for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
         partly |= _faces(lit, grid.centre + a * half_u * grid.u + b * half_v * grid.v) != seen
@@ -78,8 +78,8 @@ def shapes_beside(assembly: Assembly, touched: tuple[int, ...], points: np.ndarr
     """Names of the shapes that a way does not go over, but that may stand in it.
 
     points: (p, n, 3) of its rays, start, surfaces and end; touched: number of the element at each of the p places, or
-    ``TARGET``, ``NOTHING``; clear: distance [mm] around the rays that is looked at, too. Judged by bounding boxes: a shape
-    named here may still leave all rays free.
+    ``TARGET``, ``NOTHING``; clear: distance [mm] around the rays that is looked at, too. Judged by bounding boxes: a
+    shape named here may still leave all rays free.
     """
     segments = zip(touched, touched[1:], points, points[1:], strict=False)
     return [name for one, two, start, end in segments for name, *_ in _beside(assembly, one, two, start, end, clear)]
@@ -102,11 +102,8 @@ def _across(heading: np.ndarray, distance: float) -> np.ndarray:
     """Displacements (8, 3) across a heading (3,) [mm], or none, (1, 3), for the distance 0."""
     if distance == 0:
         return np.zeros((1, 3))
-    first = np.cross(heading, np.eye(3)[np.argmin(np.abs(heading))])
-    second = np.cross(heading, first)
     angle = np.pi / 4 * np.arange(8)
-    circle = np.outer(np.cos(angle), first / np.linalg.norm(first)) + np.outer(np.sin(angle), second / np.linalg.norm(second))
-    return distance * circle
+    return distance * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ vectors_across(heading / np.linalg.norm(heading))
 
 
 def _segment_free(assembly: Assembly, one: int, two: int, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -130,9 +127,13 @@ def _segment_free(assembly: Assembly, one: int, two: int, start: np.ndarray, end
 def _beside(
     assembly: Assembly, one: int, two: int, start: np.ndarray, end: np.ndarray, clear: float = 0.0
 ) -> list[tuple[str, mi.Shape, Element | None]]:
-    """Name, shape and element of what is in the box around segments from start to end (n, 3) and touches neither end."""
+    """Name, shape and element of what lies in the box around segments from start to end (n, 3) but at neither end."""
     low, high = (f(np.minimum(start, end) if f is np.min else np.maximum(start, end), axis=0) for f in (np.min, np.max))
-    shapes = [(element.name, element.shape, element) for number, element in enumerate(assembly.elements) if number not in (one, two)]
+    shapes = [
+        (element.name, element.shape, element)
+        for number, element in enumerate(assembly.elements)
+        if number not in (one, two)
+    ]
     if assembly.target.points is None and TARGET not in (one, two):
         shapes.append(("target", assembly.target.shape, None))
     found = []

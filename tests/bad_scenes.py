@@ -6,8 +6,18 @@ import re
 
 import numpy as np
 import pytest
-from scene_builder import detector_frame, detector_xml, direction, frame_along, integrator_xml, laser_xml, parameters
-from scene_builder import scene_of, target_xml, transform
+from scene_builder import (
+    detector_frame,
+    detector_xml,
+    direction,
+    frame_along,
+    integrator_xml,
+    laser_xml,
+    parameters,
+    scene_of,
+    target_xml,
+    transform,
+)
 
 from speckle_mi.assembly import assembly_from_scene
 from speckle_mi.cli import one_line
@@ -30,7 +40,8 @@ PARTS = {
     "target": target_xml(),
     "detector": detector_xml(CAMERA, width=16, height=8),
     "lens": f'<shape type="lens" id="lens">{on_axis(25.0)}{parameters(LENS)}</shape>',
-    "aperture": f'<shape type="aperture" id="aperture">{on_axis(40.0)}{parameters({"radius": 0.5, "outer_radius": 9.0})}</shape>',
+    "aperture": '<shape type="aperture" id="aperture">'
+    f'{on_axis(40.0)}{parameters({"radius": 0.5, "outer_radius": 9.0})}</shape>',
 }
 
 

@@ -9,7 +9,14 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 SCENES = ROOT / "scenes"
 
-SLOW_LAST = ("test_shadows", "test_optics_fields", "test_optics_scene", "test_imaging_speckle", "test_commands", "test_sensitivity_free_space")
+SLOW_LAST = (
+    "test_shadows",
+    "test_optics_fields",
+    "test_optics_scene",
+    "test_imaging_speckle",
+    "test_commands",
+    "test_sensitivity_free_space",
+)
 """Files that take longest, in the order in which they run after all others."""
 
 

@@ -4,7 +4,8 @@ Nothing here traces a ray. The path from P to D over k surfaces is the stationar
 
     L(q) = sum n_i |X_{i+1} - X_i|,   X_0 = P, X_i = X_i(q_i) on surface i, X_{k+1} = D,
 
-over the 2k coordinates q of the points on the surfaces, found by Newton's method with exact derivatives (complex steps).
+over the 2k coordinates q of the points on the surfaces, found by Newton's method with exact derivatives (complex
+steps).
 The amplitude is the Van Vleck determinant, |A|^2 = |det d2L/dP_perp dD_perp|, 1/r^2 in free space, and a focal line for
 every negative eigenvalue of d2L/dq2 turns the phase by -pi/2 (Morse). Lengths are mm, the phasor is e^{+ikL}.
 """
@@ -24,7 +25,7 @@ STEP = 1e-40  # Of a complex step: derivatives without any cancellation.
 
 @dataclass(frozen=True)
 class Refractor:
-    """A conic of revolution, z = c r^2/(1 + sqrt(1 - (1 + k) c^2 r^2)) in its axes (columns) from its vertex; n behind it."""
+    """A conic of revolution, z = c r^2/(1 + sqrt(1 - (1 + k) c^2 r^2)) along its axis from its vertex; n behind it."""
 
     vertex: np.ndarray
     axes: np.ndarray
@@ -54,7 +55,10 @@ def lens_surfaces(origin, axes, radius1, radius2, thickness, index, conic1=0.0, 
         return 1 / radius if radius else 0.0
 
     back = origin + thickness * axes[:, 2]
-    return [Refractor(origin, axes, curvature(radius1), conic1, index), Refractor(back, axes, curvature(radius2), conic2, 1.0)]
+    return [
+        Refractor(origin, axes, curvature(radius1), conic1, index),
+        Refractor(back, axes, curvature(radius2), conic2, 1.0),
+    ]
 
 
 def _length(vector):
@@ -144,7 +148,11 @@ def disc_nodes(radius, rings, spokes):
     t, w = roots_legendre(rings)
     r, w = radius * (t + 1) / 2, radius * w / 2
     angle = 2 * np.pi * np.arange(spokes) / spokes
-    return np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel(), np.repeat(w * r * 2 * np.pi / spokes, spokes)
+    return (
+        np.outer(r, np.cos(angle)).ravel(),
+        np.outer(r, np.sin(angle)).ravel(),
+        np.repeat(w * r * 2 * np.pi / spokes, spokes),
+    )
 
 
 def rectangle_nodes(half_x, half_y, count):
@@ -203,7 +211,7 @@ BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
 
 
 def bench(tmp_path, sources, detector, elements, *, pixels=(24, 16), pitch=0.05, wavelength=632.8, **integrator) -> str:
-    """A scene of point sources (n, 3) [mm], elements and a detector, under a plane wave of ``wavelength`` [nm] along -z."""
+    """A scene of point sources (n, 3) [mm], elements, a detector, and a plane wave of ``wavelength`` [nm] along -z."""
     from scene_builder import WORLD, detector_xml, frame_along, integrator_xml, laser_xml, scene_of, target_xml
 
     table = tmp_path / "points.csv"
@@ -227,7 +235,7 @@ def facing(z: float, x: float = 0.0, y: float = 0.0, tilt=(0.0, 0.0, 0.0)) -> Fr
 
 
 def rendered(assemble, text: str):
-    """(assembly, frame, field (pixels,) of a unit source): the illumination is divided out of a single source's field."""
+    """(assembly, frame, field (pixels,) of a unit source): a single source's field, less the illumination."""
     assembly = assemble(text)
     frame = simulate_frame(assembly)
     assert frame.scatterers.count == 1

@@ -26,7 +26,7 @@ def frame_along(z: np.ndarray, origin: np.ndarray, x_hint: np.ndarray) -> Frame:
 
 
 def detector_frame(sight: np.ndarray, distance: float, tilt: np.ndarray | None = None) -> Frame:
-    """A detector at ``distance`` along ``sight`` that faces the origin, then turned by ``tilt`` (3, 3) about its centre.
+    """A detector at ``distance`` along ``sight`` that faces the origin, then turned by ``tilt`` (3, 3) where it stands.
 
     Columns run as far along +x as the line of sight allows (the local x axis points against the columns).
     """
@@ -38,7 +38,8 @@ def transform(frame: Frame) -> str:
     """``to_world`` of a frame."""
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = frame.axes, frame.origin
-    return f'<transform name="to_world"><matrix value="{" ".join(repr(float(value)) for value in matrix.ravel())}"/></transform>'
+    numbers = " ".join(repr(float(value)) for value in matrix.ravel())
+    return f'<transform name="to_world"><matrix value="{numbers}"/></transform>'
 
 
 def parameters(values: dict) -> str:
@@ -65,7 +66,11 @@ def target_xml(frame: Frame = WORLD, bsdf: str = "", **values) -> str:
 
 
 def detector_xml(frame: Frame, width: int = 64, height: int = 48, pixel_pitch: float = 0.006, samples: int = 1) -> str:
-    sampler = f'<sampler type="independent"><integer name="sample_count" value="{samples}"/></sampler>' if samples != 1 else ""
+    sampler = (
+        f'<sampler type="independent"><integer name="sample_count" value="{samples}"/></sampler>'
+        if samples != 1
+        else ""
+    )
     return (
         f'<sensor type="detector" id="detector">{transform(frame)}{parameters({"pixel_pitch": pixel_pitch})}'
         f'<film type="hdrfilm">{parameters({"width": width, "height": height})}</film>{sampler}</sensor>'

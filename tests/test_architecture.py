@@ -89,10 +89,14 @@ def test_post_processing_uses_no_renderer_in_any_function(name):
     assert not RENDERER & top_level(imports(f"speckle_mi.{name}", at_import=False))
 
 
-@pytest.mark.parametrize("module", sorted(n for n in SOURCES if n.startswith(("speckle_mi.optics", "speckle_mi.propagation"))))
+@pytest.mark.parametrize(
+    "module", sorted(n for n in SOURCES if n.startswith(("speckle_mi.optics", "speckle_mi.propagation")))
+)
 def test_propagation_and_optics_know_neither_scenes_nor_plugins_nor_commands(module):
     local = {name for name in imports(module, at_import=False) if name.startswith("speckle_mi")}
-    forbidden = {f"speckle_mi.{name}" for name in (*COMMANDS, "plugins", "assembly", "simulate", "parameters", "placement")}
+    forbidden = {
+        f"speckle_mi.{name}" for name in (*COMMANDS, "plugins", "assembly", "simulate", "parameters", "placement")
+    }
     assert not {name for name in local if any(name == f or name.startswith(f + ".") for f in forbidden)}
 
 

@@ -1,4 +1,4 @@
-"""Bad images, flags and files, and output that cannot be written: one clear line, status 2, no traceback, nothing lost."""
+"""Bad images, flags and files, output that cannot be written: one clear line, status 2, no traceback, nothing lost."""
 
 from __future__ import annotations
 
@@ -149,7 +149,8 @@ XML = {
     "no such plugin": '<scene version="3.0.0"><shape type="sphear"/></scene>',
     "no such file": '<scene version="3.0.0"><include filename="none.xml"/></scene>',
     "no such reference": '<scene version="3.0.0"><ref id="none"/></scene>',
-    "no such default": '<scene version="3.0.0"><integrator type="coherent"><float name="tolerance" value="$none"/></integrator></scene>',
+    "no such default": '<scene version="3.0.0"><integrator type="coherent">'
+    '<float name="tolerance" value="$none"/></integrator></scene>',
     "very deep": '<scene version="3.0.0">' + '<shape type="sphere">' * 3000,
     "a null": '<scene version="3.0.0">\0</scene>',
 }

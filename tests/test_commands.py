@@ -17,11 +17,33 @@ from conftest import SCENES
 from speckle_mi.exr import read_field
 
 SCENE = str(SCENES / "tilted_laser.xml")
-SMALL = ["-D", "width=64", "-D", "height=48", "-D", "pixel_pitch=0.03", "-D", "point_sources=30", "-D", "beam_radius=0.2"]
+SMALL = [
+    "-D",
+    "width=64",
+    "-D",
+    "height=48",
+    "-D",
+    "pixel_pitch=0.03",
+    "-D",
+    "point_sources=30",
+    "-D",
+    "beam_radius=0.2",
+]
 SWEEP = ["--dof", "x,ry", "--range", "0.02", "--steps", "3", "--seeds", "2"]
 COLUMNS = [
-    "dof", "displacement", "unit", "seed", "shift_u_um", "shift_v_um", "shift_x_um", "shift_y_um", "ncc", "cog_u_um", "cog_v_um",
-    "contrast", "seconds",
+    "dof",
+    "displacement",
+    "unit",
+    "seed",
+    "shift_u_um",
+    "shift_v_um",
+    "shift_x_um",
+    "shift_y_um",
+    "ncc",
+    "cog_u_um",
+    "cog_v_um",
+    "contrast",
+    "seconds",
 ]
 AXES = {"u", "v", "x", "y", "cog_u", "cog_v"}
 ENTRY = {"value", "ci95", "theory", "bias", "scatter_um", "unit"}
@@ -59,7 +81,9 @@ def rendered(tmp_path_factory):
     """Images at rest and moved, and the sources of the moved one."""
     folder = tmp_path_factory.mktemp("render")
     rest = run("render", SCENE, "-o", "rest.exr", *SMALL, cwd=folder)
-    moved = run("render", SCENE, "-o", "moved.exr", "--pose", "x=0.02,ry=0.01", "--sources", "moved.npz", *SMALL, cwd=folder)
+    moved = run(
+        "render", SCENE, "-o", "moved.exr", "--pose", "x=0.02,ry=0.01", "--sources", "moved.npz", *SMALL, cwd=folder
+    )
     assert rest.returncode == moved.returncode == DONE, rest.stderr + moved.stderr
     return folder, moved
 
@@ -191,7 +215,17 @@ def test_sweep_leaves_frames_tables_and_plots(swept):
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in plots)
     assert not list(out.glob(".*")) and not list((out / "frames").glob(".*"))
     header = read_field(frames[0]).header
-    assert {"wavelength_nm", "pixel_pitch_mm", "pose", "seed", "scene_hash", "method", "tolerance", "phase_sign", "version"} <= set(header)
+    assert {
+        "wavelength_nm",
+        "pixel_pitch_mm",
+        "pose",
+        "seed",
+        "scene_hash",
+        "method",
+        "tolerance",
+        "phase_sign",
+        "version",
+    } <= set(header)
 
 
 def test_sweep_table_has_a_row_a_frame(swept):
@@ -226,7 +260,9 @@ def test_sweep_summary_says_what_was_found(swept):
     along = summary["sensitivity"]["x"]["u"]
     assert along["theory"] == pytest.approx(0.9463, abs=1e-4) and along["value"] == pytest.approx(0.9463, rel=0.1)
     assert along["bias"] == pytest.approx(along["value"] - along["theory"])
-    np.testing.assert_allclose(summary["sensitivity"]["x"]["y"]["value"], -summary["sensitivity"]["x"]["v"]["value"], atol=1e-12)
+    np.testing.assert_allclose(
+        summary["sensitivity"]["x"]["y"]["value"], -summary["sensitivity"]["x"]["v"]["value"], atol=1e-12
+    )
 
 
 def test_sweep_table_agrees_with_correlating_its_frames(swept):

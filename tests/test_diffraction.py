@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact_optics import MIRROR, bench, diffracted, disc_nodes, element_xml, facing, rectangle_nodes, rendered, spherical
-from exact_optics import tilted
+from exact_optics import (
+    MIRROR,
+    bench,
+    diffracted,
+    disc_nodes,
+    element_xml,
+    facing,
+    rectangle_nodes,
+    rendered,
+    spherical,
+    tilted,
+)
 from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 
@@ -111,9 +121,13 @@ def test_two_apertures_in_a_row_diffract_one_after_the_other(assemble, tmp_path)
 
 def test_order_of_apertures_in_the_file_does_not_matter(assemble, tmp_path):
     elements = [
-        element_xml("aperture", n, Frame(np.array([0.0, 0, z]), np.eye(3)), radius=0.2) for n, z in (("near", 20.0), ("far", 35.0))
+        element_xml("aperture", n, Frame(np.array([0.0, 0, z]), np.eye(3)), radius=0.2)
+        for n, z in (("near", 20.0), ("far", 35.0))
     ]
-    images = [rendered(assemble, bench(tmp_path, (0, 0, 0), facing(60), e, pixels=(12, 8)))[2] for e in (elements, elements[::-1])]
+    images = [
+        rendered(assemble, bench(tmp_path, (0, 0, 0), facing(60), e, pixels=(12, 8)))[2]
+        for e in (elements, elements[::-1])
+    ]
     assert np.array_equal(*images)
 
 
@@ -122,9 +136,13 @@ def test_edge_of_a_small_mirror_diffracts_like_the_opening_it_is(assemble, tmp_p
     source = np.array([0.05, 0.0, 0.0])
     detector = detector_frame(direction(90), 30.0)
     detector = Frame(detector.origin + [0, 0, 40.0], detector.axes)
-    wall = element_xml("rectangle", "wall", Frame(np.array([8.0, 0, 13]), tilted(0, 90, 0)), '<bsdf type="diffuse"/>', size=(12, 12, 1))
+    wall = element_xml(
+        "rectangle", "wall", Frame(np.array([8.0, 0, 13]), tilted(0, 90, 0)), '<bsdf type="diffuse"/>', size=(12, 12, 1)
+    )
     xml = element_xml("rectangle", "mirror", mirror, MIRROR, size=(*half, 1))
-    assembly, frame, field = rendered(assemble, bench(tmp_path, source, detector, [xml, wall], pixels=(40, 24), pitch=0.05))
+    assembly, frame, field = rendered(
+        assemble, bench(tmp_path, source, detector, [xml, wall], pixels=(40, 24), pitch=0.05)
+    )
     normal = mirror.axes[:, 2]
     targets = assembly.detector.points()
     images = targets - 2 * ((targets - mirror.origin) @ normal)[:, None] * normal
@@ -140,9 +158,14 @@ def test_opening_in_glassless_light_of_many_sources_is_the_sum_of_each(assemble,
     assembly = assemble(bench(tmp_path, points, facing(75), [xml], pixels=(16, 8), pitch=0.15))
     made = simulate_frame(assembly)
     targets = assembly.detector.points()
-    exact = sum(c * through(p, frame, disc_nodes(0.5, 100, 400), targets) for p, c in zip(made.scatterers.position, made.scatterers.amplitude, strict=True))
+    exact = sum(
+        c * through(p, frame, disc_nodes(0.5, 100, 400), targets)
+        for p, c in zip(made.scatterers.position, made.scatterers.amplitude, strict=True)
+    )
     assert np.linalg.norm(made.image.field.ravel() - exact) <= INTENSITY * np.linalg.norm(exact)
-    assert np.linalg.norm(made.image.field.ravel() - exact) <= 3 * max(made.numerical_error, 1e-6) * np.linalg.norm(exact)
+    assert np.linalg.norm(made.image.field.ravel() - exact) <= 3 * max(made.numerical_error, 1e-6) * np.linalg.norm(
+        exact
+    )
 
 
 # Geometric light
@@ -194,7 +217,9 @@ def test_power_through_an_aperture_arrives_at_the_detector_that_catches_it_all(a
     source, frame = np.array([0.1, 0.0, 0.0]), Frame(np.array([0.0, 0, 41.0]), np.eye(3))
     xml = element_xml("aperture", "hole", frame, radius=radius)
     side, pitch = 200, 2 * half_width / 200
-    assembly, _, field = rendered(assemble, bench(tmp_path, source, facing(75), [xml], pixels=(side, side), pitch=pitch, tolerance=1e-4))
+    assembly, _, field = rendered(
+        assemble, bench(tmp_path, source, facing(75), [xml], pixels=(side, side), pitch=pitch, tolerance=1e-4)
+    )
     caught = np.sum(np.abs(field) ** 2) * pitch**2
     assert caught == pytest.approx(power_through_disc(source, frame, radius), rel=ENERGY)
 
@@ -203,10 +228,22 @@ def test_power_through_an_aperture_arrives_at_the_detector_that_catches_it_all(a
 def test_power_through_lens_and_stop_arrives_in_and_out_of_focus(assemble, tmp_path, detector_z, half_width):
     """The stop stands before the lens, where the source's power through it is that of a cone."""
     stop = Frame(np.array([0.0, 0, 95.0]), np.eye(3))
-    lens = element_xml("lens", "lens", Frame(np.array([0.0, 0, 97.0685]), np.eye(3)), radius1=50.0, radius2=-50.0, thickness=5.0, diameter=20.0, ior=1.5151)
+    lens = element_xml(
+        "lens",
+        "lens",
+        Frame(np.array([0.0, 0, 97.0685]), np.eye(3)),
+        radius1=50.0,
+        radius2=-50.0,
+        thickness=5.0,
+        diameter=20.0,
+        ior=1.5151,
+    )
     elements = [lens, element_xml("aperture", "stop", stop, radius=2.0, outer_radius=15.0)]
     side, pitch = 200, 2 * half_width / 200
-    assembly, made, field = rendered(assemble, bench(tmp_path, (0, 0, 0), facing(detector_z), elements, pixels=(side, side), pitch=pitch, tolerance=1e-4))
+    assembly, made, field = rendered(
+        assemble,
+        bench(tmp_path, (0, 0, 0), facing(detector_z), elements, pixels=(side, side), pitch=pitch, tolerance=1e-4),
+    )
     caught = np.sum(np.abs(field) ** 2) * pitch**2
     # cos(chi) on the detector is 1 to 2e-4 in this cone.
     assert caught == pytest.approx(power_through_disc(np.zeros(3), stop, 2.0), rel=ENERGY), made.plan

@@ -4,8 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scene_builder import WORLD, detector_frame, detector_xml, direction, free_space
-from scene_builder import frame_along, integrator_xml, laser_xml, scene_of, target_xml
+from scene_builder import (
+    WORLD,
+    detector_frame,
+    detector_xml,
+    direction,
+    frame_along,
+    free_space,
+    integrator_xml,
+    laser_xml,
+    scene_of,
+    target_xml,
+)
 
 from speckle_mi.geometry import Frame, PlaneGrid, Pose, rotation_matrix
 from speckle_mi.render import write_sources
@@ -78,8 +88,13 @@ def test_auto_keeps_its_tolerance_on_a_detector_where_it_expands(assemble, tmp_p
 
 def test_field_ten_metres_away_from_a_laser_ten_metres_away(assemble, tmp_path):
     text = free_space(
-        direction(35, 180), direction(20, 60), tilt=TILT, laser_distance=1e4, detector_distance=1e4,
-        detector={"pixel_pitch": 0.5}, target_frame=Frame(np.array([3e3, -5e3, 2e3]), rotation_matrix(np.array([0.5, 1, -2]))),
+        direction(35, 180),
+        direction(20, 60),
+        tilt=TILT,
+        laser_distance=1e4,
+        detector_distance=1e4,
+        detector={"pixel_pitch": 0.5},
+        target_frame=Frame(np.array([3e3, -5e3, 2e3]), rotation_matrix(np.array([0.5, 1, -2]))),
         integrator={"method": "direct"},
     )
     check_against_sources(assemble(text), tmp_path, Pose(z=0.1, rx=-0.3))
@@ -199,8 +214,12 @@ def test_a_bright_point_in_the_world_shows_at_its_column_and_row(assemble, tmp_p
     focus = frame.origin + pitch * ((column - 60) * u + (row - 40) * v)
     converging_points(tmp_path / "points.csv", focus)
     text = free_space(
-        direction(0), sight, tilt=tilt, laser={"beam_radius": None, "wavefront_radius": None},
-        target={"points": str(tmp_path / "points.csv")}, detector={"width": width, "height": height, "pixel_pitch": pitch},
+        direction(0),
+        sight,
+        tilt=tilt,
+        laser={"beam_radius": None, "wavefront_radius": None},
+        target={"points": str(tmp_path / "points.csv")},
+        detector={"width": width, "height": height, "pixel_pitch": pitch},
     )
     assembly = assemble(text)
     intensity = simulate(assembly).intensity
@@ -276,7 +295,9 @@ def test_frames_of_a_sweep_compile_nothing_new(shipped):
 
     assemblies = [
         shipped("tilted_laser", width=96, height=64),
-        shipped("tilted_laser", width=96, height=64, beam_radius=0.1, roughness=1.1, wavefront_radius=-500, wavelength=780),
+        shipped(
+            "tilted_laser", width=96, height=64, beam_radius=0.1, roughness=1.1, wavefront_radius=-500, wavelength=780
+        ),
     ]
     poses = [Pose(), Pose(x=0.02), Pose(z=-0.1), Pose(rx=0.1, ry=-0.05, rz=0.02)]
     for pose in poses[:2]:

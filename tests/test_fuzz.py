@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from bad_scenes import PARTS, scene_with
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
-from bad_scenes import PARTS, scene_with
 
 from speckle_mi.exr import FieldImage, write_field
 

@@ -47,7 +47,9 @@ def exact_field(beam, point):
 
 @pytest.mark.parametrize("wavefront_radius", [-750.0, 750.0, 50.0, -20.0, np.inf, 1e7])
 @pytest.mark.parametrize("distance", [1.0, 50.0, 1e4])
-@pytest.mark.parametrize("to_laser", [direction(0), direction(35, 180), direction(62, 41)], ids=["normal", "tilted", "skew"])
+@pytest.mark.parametrize(
+    "to_laser", [direction(0), direction(35, 180), direction(62, 41)], ids=["normal", "tilted", "skew"]
+)
 def test_phase_of_the_beam_is_right_to_a_hundred_thousandth_of_a_wavelength(to_laser, distance, wavefront_radius):
     rng = np.random.default_rng(1)
     lit = beam(to_laser, distance, wavefront_radius)
@@ -98,4 +100,6 @@ def test_direction_to_the_source_is_the_gradient_of_the_phase(wavefront_radius):
         for axis in np.eye(3)
     ]
     expected = -np.array(gradient) / (2 * step * lit.wavenumber)
-    np.testing.assert_allclose(lit.directions_to_source(point[None])[0], expected, atol=1e-6)  # differences of 1e-6 mm in float64
+    np.testing.assert_allclose(
+        lit.directions_to_source(point[None])[0], expected, atol=1e-6
+    )  # differences of 1e-6 mm in float64

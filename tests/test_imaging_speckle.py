@@ -210,7 +210,9 @@ def test_light_of_a_point_that_slides_along_the_beam_moves_behind_the_aperture_a
 def test_centre_of_gravity_of_the_integrated_sensor_moves_by_the_apertures_projection(shipped, sources):
     # Over 2 mm: the speckles in the lit disc throw its centre about by some 20 um, however far the target moves.
     z = np.array([-1.0, 1.0])
-    assembly = shipped("integrated_sensor", point_sources=sources, width=124, height=80, pixel_pitch=0.036, tolerance="1e-2")
+    assembly = shipped(
+        "integrated_sensor", point_sources=sources, width=124, height=80, pixel_pitch=0.036, tolerance="1e-2"
+    )
     to_um = 1e3 * assembly.detector.pitch * assembly.detector.u[0]
     places = [
         [centre_of_gravity(simulate(assembly.with_seed(seed), Pose(z=float(one))).intensity)[0] * to_um for one in z]
@@ -226,7 +228,8 @@ def test_centre_of_gravity_of_the_integrated_sensor_moves_by_the_apertures_proje
 def test_speckle_shift_of_the_integrated_sensor_is_the_tilted_lasers_at_its_distances(
     shipped, displacement, diffraction
 ):
-    """With diffraction only motions of half a speckle and more: the aperture's rings stand still and hold back smaller ones."""
+    """With diffraction only motions of half a speckle and more: the aperture's rings stand still, which holds back
+    smaller ones."""
     assembly = shipped(
         "integrated_sensor",
         width=186,

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM at any moment: one line, status 130, nothing half-written, what is finished kept and taken up again."""
+"""Ctrl-C and SIGTERM at any moment: one line, status 130, nothing half-written, what is finished kept and resumed."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ SWEEP = ["--dof", "x,ry", "--range", "0.02", "--steps", "3", "--seeds", "2", "--
 
 INTERRUPTS_ITSELF = """
 import os, signal, sys
-import speckle_mi.cli, speckle_mi.files, speckle_mi.interrupt
+import speckle_mi.cli, speckle_mi.files
+from speckle_mi.interrupt import keeping, scratch_folder
 def main(arguments):
-    with speckle_mi.interrupt.keeping(lambda: open("kept", "w").close()), speckle_mi.interrupt.scratch_folder() as folder:
+    with keeping(lambda: open("kept", "w").close()), scratch_folder() as folder:
         with speckle_mi.files.replacing("result.txt") as path:
             path.write_text("half")
             assert len(os.listdir()) == 1 and folder.is_dir()

@@ -132,7 +132,9 @@ def test_plane_mirror_is_the_image_source(assemble, tmp_path, angle):
     wall = """<shape type="disk" id="wall"><transform name="to_world"><scale value="14"/><rotate y="1" angle="90"/>
       <translate x="14" z="22"/></transform><bsdf type="diffuse"/></shape>"""
     looks = f'<lookat origin="{place[0]},0,{place[2]}" target="0,0,80" up="0,1,0"/>'
-    assembly = assemble(scene(mirror + wall, looks, (0.3, -0.2, 0.0), tmp_path, options='<string name="method" value="direct"/>'))
+    assembly = assemble(
+        scene(mirror + wall, looks, (0.3, -0.2, 0.0), tmp_path, options='<string name="method" value="direct"/>')
+    )
     field, frame = unit_field(assembly)
     lines = " ".join(frame.plan)
     assert "unfolded" in lines and "traced" not in lines and "diffracted" not in lines
@@ -182,7 +184,13 @@ def test_power_behind_an_aperture_is_what_went_through_it(assemble, tmp_path):
 @pytest.mark.parametrize("defocus", [0.0, 2.0])
 def test_image_of_a_point_is_the_huygens_sum_over_the_pupil(assemble, tmp_path, defocus):
     z_stop, z_detector, radius = 103.0, 199.1 + defocus, 2.0
-    text = scene(lens(97.0) + stop(z_stop, radius), facing(z_detector), folder=tmp_path, pixels=60, pitch=0.0012 + 0.0016 * defocus)
+    text = scene(
+        lens(97.0) + stop(z_stop, radius),
+        facing(z_detector),
+        folder=tmp_path,
+        pixels=60,
+        pitch=0.0012 + 0.0016 * defocus,
+    )
     assembly = assemble(text)
     field, frame = unit_field(assembly)
     assert "diffracted at stop" in frame.plan
@@ -236,7 +244,11 @@ def test_diffracted_light_comes_close_to_the_geometric_far_from_edges(assemble, 
 
 def test_geometric_field_at_a_focus_is_refused_with_the_reason(assemble, tmp_path):
     with pytest.raises(ValueError, match="focus.*diffraction"):
-        simulate(assemble(scene(lens(97.0) + stop(103.0, 2.0), facing(199.1), folder=tmp_path, pitch=0.002, options=GEOMETRIC)))
+        simulate(
+            assemble(
+                scene(lens(97.0) + stop(103.0, 2.0), facing(199.1), folder=tmp_path, pitch=0.002, options=GEOMETRIC)
+            )
+        )
 
 
 def test_order_of_shapes_in_the_file_is_irrelevant(assemble, tmp_path):

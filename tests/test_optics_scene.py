@@ -1,11 +1,24 @@
-"""Mirrors, plates and lenses in whole scenes, against Fermat's principle and image sources; what each scene leaves out."""
+"""Mirrors, plates and lenses in whole scenes, against Fermat's principle and image sources; what a scene leaves out."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact_optics import BLACK, DIELECTRIC, MIRROR, Refractor, bench, element_xml, facing, fermat, lens_surfaces, rendered
-from exact_optics import spherical, thin_lens_start, tilted
+from exact_optics import (
+    BLACK,
+    DIELECTRIC,
+    MIRROR,
+    Refractor,
+    bench,
+    element_xml,
+    facing,
+    fermat,
+    lens_surfaces,
+    rendered,
+    spherical,
+    thin_lens_start,
+    tilted,
+)
 from scipy.optimize import brentq
 
 from speckle_mi import fields, plan, simulate
@@ -73,7 +86,9 @@ def test_field_behind_a_lens_is_that_of_the_path_fermat_gives(assemble, tmp_path
     text = bench(tmp_path, point, facing(detector_z, 0.3, 0.2, (5, 8, 0)), [xml], pitch=pitch, diffraction=False)
     assembly, _, field = rendered(assemble, text)
     targets = assembly.detector.points()
-    length, amplitude = fermat(point, surfaces, targets, thin_lens_start(point, targets, surfaces, focal_length(**form)))
+    length, amplitude = fermat(
+        point, surfaces, targets, thin_lens_start(point, targets, surfaces, focal_length(**form))
+    )
     check_field(field, length, amplitude)
 
 
@@ -170,7 +185,13 @@ def test_field_over_a_plane_mirror_is_that_of_the_image_source(assemble, tmp_pat
     detector = looking_along(mirror.origin + 31.7 * heading, heading)
     source = np.array([0.2, -0.1, 0.03])
     xml = element_xml(shape, "mirror", mirror, MIRROR, size=size)
-    wall = element_xml("rectangle", "wall", Frame(0.5 * detector.origin, looking_along([0, 0, 0], detector.origin / np.linalg.norm(detector.origin)).axes), BLACK, size=(6, 6, 1))
+    wall = element_xml(
+        "rectangle",
+        "wall",
+        Frame(0.5 * detector.origin, looking_along([0, 0, 0], detector.origin / np.linalg.norm(detector.origin)).axes),
+        BLACK,
+        size=(6, 6, 1),
+    )
     assembly, frame, field = rendered(assemble, bench(tmp_path, source, detector, [xml, wall], tolerance=1e-7))
     exact = spherical(reflected(source, mirror), assembly.detector.points(), WAVELENGTH)
     assert waves_rms(field, exact) <= MIRROR_PHASE
@@ -182,22 +203,37 @@ def test_field_over_two_mirrors_is_that_of_the_image_of_the_image(assemble, tmp_
     first, second = Frame(np.array([0.0, 0, 30]), tilted(0, 135, 0)), Frame(np.array([25.0, 0, 30]), tilted(31, -40, 0))
     for mirror in (first, second):
         assert np.linalg.det(mirror.axes) == pytest.approx(1)
-    heading = reflected(reflected(np.array([0.0, 0, 1]) + first.origin, first) - first.origin + second.origin, second) - second.origin
+    heading = (
+        reflected(reflected(np.array([0.0, 0, 1]) + first.origin, first) - first.origin + second.origin, second)
+        - second.origin
+    )
     detector = looking_along(second.origin + 28 * heading, heading)
     source = np.array([-0.1, 0.2, 0.0])
     elements = [element_xml("rectangle", n, m, MIRROR, size=(7, 7, 1)) for n, m in (("z1", first), ("a2", second))]
-    assembly, frame, field = rendered(assemble, bench(tmp_path, source, detector, elements, tolerance=1e-7, diffraction=False))
+    assembly, frame, field = rendered(
+        assemble, bench(tmp_path, source, detector, elements, tolerance=1e-7, diffraction=False)
+    )
     image = reflected(reflected(source, first), second)
     exact = spherical(image, assembly.detector.points(), WAVELENGTH)
     assert any("target - z1 - a2 - detector" in line for line in frame.plan)
-    direct = spherical(source, assembly.detector.points(), WAVELENGTH) if any("way: target - detector" in line for line in frame.plan) else 0
+    direct = (
+        spherical(source, assembly.detector.points(), WAVELENGTH)
+        if any("way: target - detector" in line for line in frame.plan)
+        else 0
+    )
     assert waves_rms(field, exact + direct) <= MIRROR_PHASE
 
 
 def test_field_over_a_convex_mirror_is_that_of_the_path_fermat_gives(assemble, tmp_path):
     centre, radius, source = np.array([12.0, 0.0, 45.0]), 12.0, np.array([0.1, 0.2, 0.0])
     detector = looking_along([-40.0, 0.0, 40.0], [-1.0, 0.0, 0.0])
-    wall = element_xml("rectangle", "wall", Frame(np.array([-20.0, 0, 20]), looking_along([0, 0, 0], np.array([-1, 0, 1]) / 2**0.5).axes), BLACK, size=(5, 5, 1))
+    wall = element_xml(
+        "rectangle",
+        "wall",
+        Frame(np.array([-20.0, 0, 20]), looking_along([0, 0, 0], np.array([-1, 0, 1]) / 2**0.5).axes),
+        BLACK,
+        size=(5, 5, 1),
+    )
     xml = element_xml("sphere", "ball", Frame(centre, np.eye(3)), MIRROR, radius=radius)
     assembly, _, field = rendered(assemble, bench(tmp_path, source, detector, [xml, wall], diffraction=False))
     targets = assembly.detector.points()
@@ -214,7 +250,9 @@ def test_field_over_a_convex_mirror_is_that_of_the_path_fermat_gives(assemble, t
 def test_light_behind_an_opaque_plate_is_missing_and_the_rest_is_free(assemble, tmp_path):
     source = np.array([0.0, 0.0, 0.0])
     blocker = element_xml("rectangle", "card", Frame(np.array([5.0, 0, 20]), np.eye(3)), BLACK, size=(5, 5, 1))
-    assembly, frame, field = rendered(assemble, bench(tmp_path, source, facing(60.0), [blocker], pixels=(41, 21), diffraction=False))
+    assembly, frame, field = rendered(
+        assemble, bench(tmp_path, source, facing(60.0), [blocker], pixels=(41, 21), diffraction=False)
+    )
     points = assembly.detector.points()
     shaded = points[:, 0] > 1e-6
     exact = spherical(source, points, WAVELENGTH)
@@ -228,7 +266,10 @@ def test_wall_of_the_folded_scene_leaves_only_the_mirrors_light(shipped):
     frame = simulate_frame(assembly, Pose(x=0.01, ry=0.05))
     mirror = Frame(np.array([0.0, 0, 40.0]), tilted(0, 135, 0))
     places = reflected(assembly.detector.points(), mirror)
-    exact = sum(c * spherical(p, places, WAVELENGTH) for p, c in zip(frame.scatterers.position, frame.scatterers.amplitude, strict=True))
+    exact = sum(
+        c * spherical(p, places, WAVELENGTH)
+        for p, c in zip(frame.scatterers.position, frame.scatterers.amplitude, strict=True)
+    )
     assert np.linalg.norm(frame.image.field.ravel() - exact) <= 1e-5 * np.linalg.norm(exact)
 
 
@@ -240,7 +281,13 @@ def fails(name):
 
 
 def test_free_space_launches_no_ray_traces_nothing_and_diffracts_nothing(shipped, monkeypatch):
-    for module, name in ((plan, "find_routes"), (plan, "aim"), (fields, "aim"), (fields, "TracedLeg"), (fields, "opening_nodes")):
+    for module, name in (
+        (plan, "find_routes"),
+        (plan, "aim"),
+        (fields, "aim"),
+        (fields, "TracedLeg"),
+        (fields, "opening_nodes"),
+    ):
         monkeypatch.setattr(module, name, fails(name))
     frame = simulate_frame(shipped("tilted_laser", width=16, height=12))
     assert "free space" in frame.plan[0] and np.all(frame.image.intensity > 0)
@@ -259,7 +306,10 @@ def test_an_aperture_far_larger_than_the_light_diffracts_nothing(shipped, monkey
         monkeypatch.setattr(fields, name, fails(name))
     assembly = shipped("integrated_sensor", width=24, height=16, aperture_radius=5, tolerance=1e-6)
     frame = simulate_frame(assembly)
-    exact = sum(c * spherical(p, assembly.detector.points(), WAVELENGTH) for p, c in zip(frame.scatterers.position, frame.scatterers.amplitude, strict=True))
+    exact = sum(
+        c * spherical(p, assembly.detector.points(), WAVELENGTH)
+        for p, c in zip(frame.scatterers.position, frame.scatterers.amplitude, strict=True)
+    )
     assert np.linalg.norm(frame.image.field.ravel() - exact) <= 1e-5 * np.linalg.norm(exact)
     assert any("diffracts nothing" in line for line in frame.plan)
 
@@ -275,13 +325,35 @@ def test_plan_is_kept_with_the_image(shipped):
 @pytest.mark.parametrize(
     "shape, named",
     [
-        (element_xml("cylinder", "rod", Frame(np.array([0.0, 0, 20]), np.eye(3)), DIELECTRIC, radius=2.0), ("rod", "dielectric")),
-        (element_xml("rectangle", "film", Frame(np.array([0.0, 0, 20]), np.eye(3)), DIELECTRIC, size=(5, 5, 1)), ("film",)),
+        (
+            element_xml("cylinder", "rod", Frame(np.array([0.0, 0, 20]), np.eye(3)), DIELECTRIC, radius=2.0),
+            ("rod", "dielectric"),
+        ),
+        (
+            element_xml("rectangle", "film", Frame(np.array([0.0, 0, 20]), np.eye(3)), DIELECTRIC, size=(5, 5, 1)),
+            ("film",),
+        ),
         (element_xml("cube", "block", Frame(np.array([0.0, 0, 20]), np.eye(3)), MIRROR, size=(5, 5, 1)), ("block",)),
         (element_xml("sphere", "egg", Frame(np.array([0.0, 0, 20]), np.eye(3)), DIELECTRIC, size=(2, 2, 3)), ("egg",)),
-        (element_xml("disk", "oval", Frame(np.array([0.0, 0, 20]), tilted(180, 0, 0)), MIRROR, size=(2, 3, 1)), ("oval",)),
-        (element_xml("rectangle", "frosted", Frame(np.array([0.0, 0, 20]), np.eye(3)), '<bsdf type="roughdielectric"/>'), ("frosted",)),
-        (element_xml("rectangle", "half", Frame(np.array([0.0, 0, 20]), np.eye(3)), '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>'), ("half",)),
+        (
+            element_xml("disk", "oval", Frame(np.array([0.0, 0, 20]), tilted(180, 0, 0)), MIRROR, size=(2, 3, 1)),
+            ("oval",),
+        ),
+        (
+            element_xml(
+                "rectangle", "frosted", Frame(np.array([0.0, 0, 20]), np.eye(3)), '<bsdf type="roughdielectric"/>'
+            ),
+            ("frosted",),
+        ),
+        (
+            element_xml(
+                "rectangle",
+                "half",
+                Frame(np.array([0.0, 0, 20]), np.eye(3)),
+                '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="diffuse"/></bsdf>',
+            ),
+            ("half",),
+        ),
     ],
 )
 def test_what_cannot_be_handled_is_refused_by_name(assemble, tmp_path, shape, named):
@@ -309,7 +381,15 @@ def test_several_rays_to_one_pixel_are_refused_and_not_one_of_them_shown(assembl
 
 
 def test_rays_converge_to_the_exact_field_through_lens_and_stop_as_their_number_grows(shipped):
-    values = dict(width=32, height=24, pixel_pitch=0.02, point_sources=1, detector_distance=140, stop_radius=4, diffraction="false")
+    values = dict(
+        width=32,
+        height=24,
+        pixel_pitch=0.02,
+        point_sources=1,
+        detector_distance=140,
+        stop_radius=4,
+        diffraction="false",
+    )
     exact = simulate_frame(shipped("imaging", tolerance=1e-6, **values))
     assembly = shipped("imaging", method="rays", **values)
     errors = []

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from speckle_mi.geometry import PlaneGrid, PlanePoints
-from speckle_mi.propagation import FreeSpace, RayleighSommerfeld, coherent_sum
+from speckle_mi.propagation import FreeSpace, coherent_sum
 from speckle_mi.propagation.bandlimited import node_grid, reach_of
 from speckle_mi.propagation.chebyshev import (
     TensorSeries,

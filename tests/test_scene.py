@@ -7,8 +7,18 @@ import sys
 
 import numpy as np
 import pytest
-from scene_builder import WORLD, detector_frame, direction, frame_along, free_space, laser_xml, parameters, scene_of
-from scene_builder import target_xml, transform
+from scene_builder import (
+    WORLD,
+    detector_frame,
+    direction,
+    frame_along,
+    free_space,
+    laser_xml,
+    parameters,
+    scene_of,
+    target_xml,
+    transform,
+)
 
 from speckle_mi import llvm
 from speckle_mi.assembly import assembly_from_scene
@@ -24,10 +34,12 @@ LOAD = "mi.load_file(SCENE, width='8', height='8')"
 ORDERS = {
     "speckle_mi first": "import speckle_mi, mitsuba as mi; mi.set_variant('llvm_ad_mono'); " + LOAD,
     "mitsuba first": "import mitsuba as mi, speckle_mi; mi.set_variant('llvm_ad_mono'); " + LOAD,
-    "mitsuba used before": "import mitsuba as mi; mi.variants(); import speckle_mi; mi.set_variant('llvm_ad_mono'); " + LOAD,
-    "after another variant": "import mitsuba as mi, speckle_mi; mi.set_variant('scalar_rgb'); mi.set_variant('llvm_ad_mono'); " + LOAD,
-    "variant set twice": "import mitsuba as mi, speckle_mi; mi.set_variant('llvm_ad_mono'); mi.set_variant('scalar_rgb'); "
+    "mitsuba used before": "import mitsuba as mi; mi.variants(); import speckle_mi; mi.set_variant('llvm_ad_mono'); "
+    + LOAD,
+    "after another variant": "import mitsuba as mi, speckle_mi; mi.set_variant('scalar_rgb'); "
     "mi.set_variant('llvm_ad_mono'); " + LOAD,
+    "variant set twice": "import mitsuba as mi, speckle_mi; mi.set_variant('llvm_ad_mono'); "
+    "mi.set_variant('scalar_rgb'); mi.set_variant('llvm_ad_mono'); " + LOAD,
     "from mitsuba import": "import speckle_mi; from mitsuba import set_variant, load_file; import mitsuba as mi; "
     "set_variant('llvm_ad_mono'); " + LOAD,
 }
@@ -48,7 +60,9 @@ CAMERA_TOO = '<sensor type="perspective" id="odd"><float name="fov" value="30"/>
 
 
 def test_another_sensor_beside_the_detector_is_left_alone(mitsuba):
-    assembly = assembly_from_scene(mitsuba.load_string(free_space(detector={"width": 24, "height": 16}, extra=CAMERA_TOO)))
+    assembly = assembly_from_scene(
+        mitsuba.load_string(free_space(detector={"width": 24, "height": 16}, extra=CAMERA_TOO))
+    )
     assert assembly.detector.shape == (16, 24)
 
 
@@ -126,7 +140,9 @@ def test_an_exposed_parameter_changes_the_image_as_the_scene_file_does(mitsuba, 
 
 def test_an_exposed_place_changes_the_image(mitsuba, scene):
     exposed = mitsuba.traverse(scene)
-    exposed["detector.to_world"] = mitsuba.Transform4f(exposed["detector.to_world"]) @ mitsuba.Transform4f().translate([0, 0, -20])
+    exposed["detector.to_world"] = mitsuba.Transform4f(exposed["detector.to_world"]) @ mitsuba.Transform4f().translate(
+        [0, 0, -20]
+    )
     exposed.update()
     np.testing.assert_allclose(assembly_from_scene(scene).detector.centre, [0, 0, 80], atol=1e-4)  # single precision
     exposed["target.to_world"] = mitsuba.Transform4f().translate([0, 0, 1])
@@ -214,7 +230,9 @@ def test_the_users_own_llvm_is_left_in_place(tmp_path):
 
         environment = {k: v for k, v in os.environ.items() if k != "DRJIT_LIBLLVM_PATH"}
         environment |= {"DRJIT_LIBLLVM_PATH": given} if given else {}
-        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment, timeout=60)
+        done = subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, env=environment, timeout=60
+        )
         assert done.stdout.strip() == expected, done.stderr
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scene_builder import direction, free_space
+from scene_builder import WORLD, direction, free_space, transform
 from scipy import stats
 
 from speckle_mi import theory
@@ -92,7 +92,9 @@ SKEW_TARGET = Frame(np.array([20.0, -10.0, 5.0]), rotation_matrix(np.array([0.4,
 GEOMETRIES = {
     "skew": {"to_laser": direction(30, 200), "sight": direction(25, 70), "target_frame": SKEW_TARGET},
     "detector plane not across its line of sight": {
-        "to_laser": direction(20, 180), "sight": direction(15, 40), "tilt": rotation_matrix(np.radians([20.0, -15.0, 30.0])),
+        "to_laser": direction(20, 180),
+        "sight": direction(15, 40),
+        "tilt": rotation_matrix(np.radians([20.0, -15.0, 30.0])),
     },
 }
 
@@ -113,9 +115,10 @@ def test_rotation_about_an_origin_outside_the_beam_moves_the_spot_as_well(assemb
     offset = np.array([3.0, 1.0, 0.0])
     frame = Frame(-offset, np.eye(3))
     text = free_space(direction(20, 180), direction(15, 40), laser=FINE_SPECKLE, detector=DETECTOR, target=FEW)
-    text = text.replace('<shape type="rough_target" id="target"><transform name="to_world"><matrix value="1.0 0.0 0.0 0.0 0.0 1.0 0.0 0.0',
-                        f'<shape type="rough_target" id="target"><transform name="to_world"><matrix value="1.0 0.0 0.0 {-offset[0]} 0.0 1.0 0.0 {-offset[1]}')
-    text = text.replace('name="roughness"', 'name="width" value="12.0"/> <float name="height" value="12.0"/> <float name="roughness"')
+    text = text.replace(f'id="target">{transform(WORLD)}', f'id="target">{transform(frame)}')
+    text = text.replace(
+        'name="roughness"', 'name="width" value="12.0"/> <float name="height" value="12.0"/> <float name="roughness"'
+    )
     assembly = assemble(text)
     np.testing.assert_allclose(assembly.target.frame.origin, frame.origin)
     np.testing.assert_allclose(assembly.target.spot, np.zeros(3), atol=1e-9)
@@ -135,12 +138,16 @@ WIDE = {"wavelength": 632.8, "beam_radius": 0.5, "wavefront_radius": None}
 )
 def test_pattern_decorrelates_as_material_leaves_the_beam(assemble, angle, dof, across):
     """Peak correlation exp(-a^2/w^2), a the motion across the beam."""
-    # The footprint's radius is at most 0.61 mm, so that speckle is at least 2.7 px wide: the height of a peak between two
-    # pixels is not known for finer speckle (1.7 px: 0.012 too high). A narrow beam has fewer speckles.
+    # The footprint's radius is at most 0.61 mm, so that speckle is at least 2.7 px wide: the height of a peak between
+    # two pixels is not known for finer speckle (1.7 px: 0.012 too high). A narrow beam has fewer speckles.
     w, surfaces = WIDE["beam_radius"] * across, 10 if across > 0.8 else 20
     text = free_space(
-        direction(angle, 180), direction(0), laser=WIDE | {"beam_radius": float(w)}, target={"point_sources": 3000, "width": 8.0, "height": 8.0},
-        detector={"width": 512, "height": 400, "pixel_pitch": 0.012}, integrator={"method": "fast", "tolerance": 1e-3},
+        direction(angle, 180),
+        direction(0),
+        laser=WIDE | {"beam_radius": float(w)},
+        target={"point_sources": 3000, "width": 8.0, "height": 8.0},
+        detector={"width": 512, "height": 400, "pixel_pitch": 0.012},
+        integrator={"method": "fast", "tolerance": 1e-3},
     )
     assembly = assemble(text)
     moves = np.array([0.2, 0.45, 0.7]) * w / across
@@ -162,8 +169,12 @@ def test_pattern_decorrelates_as_material_leaves_the_beam(assemble, angle, dof, 
 def patterns(assemble):
     """Speckle images of 8 surfaces under a tilted beam, and their assembly."""
     text = free_space(
-        direction(50, 180), direction(0), laser={"beam_radius": 0.3}, detector={"width": 384, "height": 384, "pixel_pitch": 0.012},
-        target={"point_sources": 2000, "width": 8.0, "height": 8.0}, integrator={"method": "fast", "tolerance": 1e-3},
+        direction(50, 180),
+        direction(0),
+        laser={"beam_radius": 0.3},
+        detector={"width": 384, "height": 384, "pixel_pitch": 0.012},
+        target={"point_sources": 2000, "width": 8.0, "height": 8.0},
+        integrator={"method": "fast", "tolerance": 1e-3},
     )
     assembly = assemble(text)
     return assembly, np.array([simulate(assembly.with_seed(seed)).intensity for seed in range(8)], dtype=np.float64)
@@ -234,7 +245,9 @@ def test_contrast_of_few_equal_phasors_is_that_of_their_number(assemble, tmp_pat
     )
     fringes = 2.5 / (WAVELENGTH * 60 / 0.6)
     # An incomplete fringe at the edge changes the mean of a cosine by at most 1/(pi fringes).
-    assert contrast(simulate(assemble(text)).intensity) == pytest.approx(np.sqrt(1 - 1 / count), abs=1 / (np.pi * fringes))
+    assert contrast(simulate(assemble(text)).intensity) == pytest.approx(
+        np.sqrt(1 - 1 / count), abs=1 / (np.pi * fringes)
+    )
 
 
 def test_rotations_are_counted_in_degrees_and_translations_in_millimetres():

@@ -1,11 +1,23 @@
-"""Shapes and rims that cut the light in part: each scatterer's own shadow without diffraction, else a refusal by name."""
+"""Shapes and rims that cut the light in part: each scatterer's shadow without diffraction, else a refusal by name."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact_optics import BLACK, MIRROR, bench, diffracted, disc_nodes, element_xml, fermat, lens_surfaces, rectangle_nodes
-from exact_optics import spherical, thin_lens_start, tilted
+from exact_optics import (
+    BLACK,
+    MIRROR,
+    bench,
+    diffracted,
+    disc_nodes,
+    element_xml,
+    fermat,
+    lens_surfaces,
+    rectangle_nodes,
+    spherical,
+    thin_lens_start,
+    tilted,
+)
 from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 
@@ -53,7 +65,9 @@ def check(field, parts, lit, near):
 
 
 def test_knife_edge_in_free_space_shades_every_scatterer_for_itself(assemble, tmp_path):
-    assembly, frame, field = rendered(assemble, bench(tmp_path, SPREAD, facing(60), [card(0.3, 25.0)], pixels=(80, 24), diffraction=False))
+    assembly, frame, field = rendered(
+        assemble, bench(tmp_path, SPREAD, facing(60), [card(0.3, 25.0)], pixels=(80, 24), diffraction=False)
+    )
     targets, amplitude = assembly.detector.points(), frame.scatterers.amplitude
     places = np.array([crossing(p, targets, 25.0)[:, 0] for p in frame.scatterers.position]) - 0.3
     parts = [c * spherical(p, targets, WAVELENGTH) for p, c in zip(frame.scatterers.position, amplitude, strict=True)]
@@ -61,7 +75,9 @@ def test_knife_edge_in_free_space_shades_every_scatterer_for_itself(assemble, tm
 
 
 @pytest.mark.parametrize("most", [1024, 64])
-def test_knife_edge_close_to_a_spot_shades_each_of_many_scatterers_or_tells_the_error(assemble, tmp_path, monkeypatch, most):
+def test_knife_edge_close_to_a_spot_shades_each_of_many_scatterers_or_tells_the_error(
+    assemble, tmp_path, monkeypatch, most
+):
     monkeypatch.setattr(fields, "SHADOWS_ON_DETECTOR", most)
     rng = np.random.default_rng(3)
     spot = np.column_stack([rng.normal(0, 0.15, (150, 2)), rng.normal(0, 1e-3, 150)])
@@ -79,7 +95,7 @@ def test_knife_edge_close_to_a_spot_shades_each_of_many_scatterers_or_tells_the_
 
 
 def lens_rays(sources, surfaces, targets, focal_length):
-    """Lengths, amplitudes (s, n), launch and arrival directions (s, n, 3) of all pairs: gradients of the path length."""
+    """Lengths, amplitudes (s, n), launch and arrival directions (s, n, 3) of all pairs: gradients of the path."""
     step = 1e-3
     found = []
     for source in sources:
@@ -101,7 +117,11 @@ def test_knife_edge_before_or_behind_a_lens_shades_every_scatterer_for_itself(as
     lens = element_xml("lens", "lens", frame, diameter=30.0, ior=1.5151, **LENS)
     text = bench(tmp_path, SPREAD, facing(110), [lens, card(edge, z)], pixels=(60, 20), pitch=0.06, diffraction=False)
     assembly, made, field = rendered(assemble, text)
-    surfaces, targets, sources = lens_surfaces(frame.origin, frame.axes, index=1.5151, **LENS), assembly.detector.points(), made.scatterers.position
+    surfaces, targets, sources = (
+        lens_surfaces(frame.origin, frame.axes, index=1.5151, **LENS),
+        assembly.detector.points(),
+        made.scatterers.position,
+    )
     length, amplitude, launch, arrival = lens_rays(sources, surfaces, targets, 49.4)
     if z < 60:
         places = np.array([crossing(p, p + d, z)[:, 0] for p, d in zip(sources, launch, strict=True)]) - edge
@@ -118,7 +138,9 @@ def test_mirror_that_ends_in_the_beam_shows_the_image_to_a_part_of_the_detector(
     wall = element_xml("rectangle", "wall", Frame(np.array([8.0, 0, 13]), tilted(0, 90, 0)), BLACK, size=(12, 12, 1))
     shifted = Frame(mirror.origin + 5.0 * mirror.axes[:, 0], mirror.axes)
     xml = element_xml("rectangle", "mirror", shifted, MIRROR, size=(5, 5, 1))
-    assembly, made, field = rendered(assemble, bench(tmp_path, SPREAD, detector, [xml, wall], pixels=(60, 16), diffraction=False))
+    assembly, made, field = rendered(
+        assemble, bench(tmp_path, SPREAD, detector, [xml, wall], pixels=(60, 16), diffraction=False)
+    )
     normal, targets = mirror.axes[:, 2], assembly.detector.points()
     parts, places = [], []
     for p, c in zip(made.scatterers.position, made.scatterers.amplitude, strict=True):
@@ -161,8 +183,14 @@ LENS_AND_STOP = [
         ([element_xml("sphere", "card", Frame(np.array([2.0, 0, 30]), np.eye(3)), BLACK, radius=2.0)], facing(60)),
         ([card(0.5, 40.0), *LENS_AND_STOP], facing(198.0)),
         ([card(0.5, 130.0), *LENS_AND_STOP], facing(198.0)),
-        ([card(0.1, 30.0), element_xml("aperture", "hole", Frame(np.array([0.0, 0, 41.0]), np.eye(3)), radius=0.5)], facing(75.0)),
-        ([card(0.1, 60.0), element_xml("aperture", "hole", Frame(np.array([0.0, 0, 41.0]), np.eye(3)), radius=0.5)], facing(75.0)),
+        (
+            [card(0.1, 30.0), element_xml("aperture", "hole", Frame(np.array([0.0, 0, 41.0]), np.eye(3)), radius=0.5)],
+            facing(75.0),
+        ),
+        (
+            [card(0.1, 60.0), element_xml("aperture", "hole", Frame(np.array([0.0, 0, 41.0]), np.eye(3)), radius=0.5)],
+            facing(75.0),
+        ),
     ],
     ids=["free space", "ball", "before a lens", "behind a stop", "before an aperture", "behind an aperture"],
 )
@@ -177,7 +205,17 @@ def test_shape_beside_the_light_changes_nothing(assemble, tmp_path, diffraction)
     values = dict(pixels=(24, 16), pitch=0.02, diffraction=diffraction)
     detector = facing(198.0 if diffraction else 150.0)
     alone = simulate_frame(assemble(bench(tmp_path, (0, 0, 0), detector, LENS_AND_STOP, **values)))
-    beside = simulate_frame(assemble(bench(tmp_path, (0, 0, 0), detector, [card(6.0, 40.0), card(6.0, 130.0).replace("card", "plate"), *LENS_AND_STOP], **values)))
+    beside = simulate_frame(
+        assemble(
+            bench(
+                tmp_path,
+                (0, 0, 0),
+                detector,
+                [card(6.0, 40.0), card(6.0, 130.0).replace("card", "plate"), *LENS_AND_STOP],
+                **values,
+            )
+        )
+    )
     assert np.linalg.norm(beside.image.field - alone.image.field) <= 1e-6 * np.linalg.norm(alone.image.field)
 
 
@@ -185,7 +223,16 @@ def test_rim_behind_a_stop_that_cuts_its_light_is_refused(assemble, tmp_path):
     # Half of what the stop lets through meets the lens, which stands aside.
     elements = [
         element_xml("aperture", "stop", Frame(np.array([0.0, 0.0, 60.0]), np.eye(3)), radius=0.5, outer_radius=30.0),
-        element_xml("lens", "lens", Frame(np.array([2.0, 0.0, 90.0]), np.eye(3)), diameter=4.0, ior=1.5151, radius1=50.0, radius2=-50.0, thickness=1.0),
+        element_xml(
+            "lens",
+            "lens",
+            Frame(np.array([2.0, 0.0, 90.0]), np.eye(3)),
+            diameter=4.0,
+            ior=1.5151,
+            radius1=50.0,
+            radius2=-50.0,
+            thickness=1.0,
+        ),
     ]
     with pytest.raises(SceneError, match="hides a part|rim"):
         simulate_frame(assemble(bench(tmp_path, (0, 0, 0), facing(120.0), elements, pixels=(48, 24), pitch=0.05)))
@@ -214,7 +261,9 @@ def test_scatterers_are_not_hidden_by_the_targets_own_patch(assemble, tmp_path, 
 
 def test_edge_near_the_light_is_told_with_the_wave_that_is_left_out(assemble, tmp_path):
     source, (x, z) = np.zeros(3), (0.9, 30.0)
-    assembly, made, field = rendered(assemble, bench(tmp_path, source, facing(60), [card(x, z)], pixels=(40, 8), pitch=0.03))
+    assembly, made, field = rendered(
+        assemble, bench(tmp_path, source, facing(60), [card(x, z)], pixels=(40, 8), pitch=0.03)
+    )
     told = [line for line in made.plan if "left out" in line]
     assert told and "card" in told[0]
     # The straight edge's exact wave in Fresnel's approximation, U = (1 + i)/2 ... : F(v) against 1.

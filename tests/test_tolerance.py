@@ -125,7 +125,9 @@ def test_scene_of_a_mirror_keeps_its_tolerance(assemble, tmp_path, seed):
     draw = Draw(seed)
     distance, behind, tolerance = draw.between(10, 300), draw.between(10, 2000), draw.between(1e-7, 1e-1)
     sources, wavelength = sources_of(draw, 300, (0.02, min(2.0, 0.05 * distance)))
-    mirror = Frame(np.array([0.0, 0, distance]), tilted(*draw.uniform(-10, 10, 2), 0) @ tilted(0, draw.uniform(115, 150), 0))
+    mirror = Frame(
+        np.array([0.0, 0, distance]), tilted(*draw.uniform(-10, 10, 2), 0) @ tilted(0, draw.uniform(115, 150), 0)
+    )
     normal = mirror.axes[:, 2]
 
     def image(points):
@@ -138,8 +140,9 @@ def test_scene_of_a_mirror_keeps_its_tolerance(assemble, tmp_path, seed):
     while len(set(sees_directly(detector, sources))) > 1:  # its plane cuts through the spot
         detector = detector_towards(draw, detector.origin, heading, 30)
     size = 0.8 * distance
+    element = element_xml("rectangle", "mirror", mirror, MIRROR, size=(size, size, 1))
     text = bench(
-        tmp_path, sources, detector, [element_xml("rectangle", "mirror", mirror, MIRROR, size=(size, size, 1))], pixels=pixels,
+        tmp_path, sources, detector, [element], pixels=pixels,
         pitch=pitch, wavelength=1e6 * wavelength, tolerance=tolerance, diffraction=False,
     )  # fmt: skip
     for places, field, lit, plan in field_of(assemble, text, draw):
@@ -173,7 +176,9 @@ def test_scene_of_a_lens_keeps_its_tolerance(assemble, tmp_path, seed):
     frame = Frame(np.array([*draw.uniform(-0.5, 0.5, 2), draw.between(25, 200)]), tilted(*draw.uniform(-5, 5, 2), 0))
     surfaces = lens_surfaces(frame.origin, frame.axes, index=index, **form)
     # The detector well before or well behind where the light may meet.
-    power = (index - 1) * (curvatures[0] - curvatures[1]) + (index - 1) ** 2 * form["thickness"] * np.prod(curvatures) / index
+    power = (index - 1) * (curvatures[0] - curvatures[1]) + (index - 1) ** 2 * form["thickness"] * np.prod(
+        curvatures
+    ) / index
     vergence = power - 1 / frame.origin[2]
     behind = draw.between(20, 1000)
     if vergence > 0 and 0.5 < behind * vergence < 2:
@@ -182,8 +187,9 @@ def test_scene_of_a_lens_keeps_its_tolerance(assemble, tmp_path, seed):
     magnified = abs(1 - behind * vergence)
     pitch = float(min(draw.between(2e-3, 5e-2), 3.0 * magnified / max(pixels)))
     detector = detector_towards(draw, [0, 0, frame.origin[2] + form["thickness"] + behind], [0, 0, 1.0], 20)
+    element = element_xml("lens", "lens", frame, diameter=18.0, ior=index, **form)
     text = bench(
-        tmp_path, sources, detector, [element_xml("lens", "lens", frame, diameter=18.0, ior=index, **form)], pixels=pixels,
+        tmp_path, sources, detector, [element], pixels=pixels,
         pitch=pitch, wavelength=1e6 * wavelength, tolerance=tolerance, diffraction=False,
     )  # fmt: skip
     for places, field, lit, plan in field_of(assemble, text, draw):
@@ -191,7 +197,9 @@ def test_scene_of_a_lens_keeps_its_tolerance(assemble, tmp_path, seed):
         for position, amplitude in zip(lit.position, lit.amplitude, strict=True):
             start = thin_lens_start(position, places, surfaces, 1 / power if power else np.inf)
             length, factor = fermat(position, surfaces, places, start)
-            exact = exact + amplitude * factor * np.exp(2j * np.pi * (length / wavelength - np.round(length / wavelength)))
+            exact = exact + amplitude * factor * np.exp(
+                2j * np.pi * (length / wavelength - np.round(length / wavelength))
+            )
         check(field, exact, tolerance, plan)
 
 

@@ -77,7 +77,7 @@ class AimedPaths:
 
     @property
     def complex_amplitude(self) -> np.ndarray:
-        """(n,) amplitude with the factor exp(-i pi/2) of every focal line on the way (phasor e^{+ikL}: Gouy's phase)."""
+        """(n,) amplitude with the factor exp(-i pi/2) of every focal line on the way (Gouy's phase for e^{+ikL})."""
         return self.amplitude * np.array([1.0, -1.0j, -1.0, 1.0j])[self.caustics % 4]
 
 

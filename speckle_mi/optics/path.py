@@ -27,7 +27,7 @@ class TracedPath:
         of every focal line on the way (phasor e^{+ikL}: Gouy's phase). Vignetting is not in it, see ``margins``.
         Raises ValueError when a pair has no ray; reasons are counted in the message.
         """
-        aimed = self._aimed(P, D)
+        aimed = self._all_pairs(P, D)
         shape = (len(P), len(D))
         return aimed.optical_path_length.reshape(shape), aimed.complex_amplitude.reshape(shape)
 
@@ -36,13 +36,13 @@ class TracedPath:
 
         Raises ValueError when a pair has no ray.
         """
-        return self._aimed(P, D).margins.reshape(-1, len(P), len(D))
+        return self._all_pairs(P, D).margins.reshape(-1, len(P), len(D))
 
     def aimed(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
         """The rays of all pairs, n * m, row-major (source, target); pairs without a ray are marked, not refused."""
         return aim(self.sequence, np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
 
-    def _aimed(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
+    def _all_pairs(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
         return self.paired(np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
 
     def paired(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:

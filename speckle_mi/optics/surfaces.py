@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from speckle_mi.geometry import Frame
+from speckle_mi.geometry import Frame, PlaneGrid
 
 ORTHONORMAL_TOLERANCE = 1e-6
 """Axes further from orthonormal than this are a mistake; closer ones are rounding and are made exact."""
@@ -40,6 +40,24 @@ class Circle:
         """Signed clearance 1 - r^2/R^2, (1, n): positive inside, zero exactly on the rim, smooth everywhere."""
         return 1.0 - (x * x + y * y)[None] / self.radius**2
 
+    @property
+    def half_size(self) -> tuple[float, float]:
+        """Half the extent along x and y [mm]."""
+        return self.radius, self.radius
+
+    @property
+    def reach(self) -> float:
+        """Distance of the farthest point from the middle [mm]."""
+        return self.radius
+
+    def clearance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Distance [mm] of places (n,) from the rim, (n,), negative outside."""
+        return self.radius - np.hypot(x, y)
+
+    def edge(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places x, y (n,) [mm] of the rim, seen from the middle at ``angle`` (n,) [rad]."""
+        return self.radius * np.cos(angle), self.radius * np.sin(angle)
+
 
 @dataclass(frozen=True)
 class Rectangle:
@@ -63,6 +81,26 @@ class Rectangle:
         Two functions, not their minimum, which has kinks, nor their product, which is positive again outside a corner.
         """
         return np.stack([1.0 - (x / self.half_x) ** 2, 1.0 - (y / self.half_y) ** 2])
+
+    @property
+    def half_size(self) -> tuple[float, float]:
+        """Half the extent along x and y [mm]."""
+        return self.half_x, self.half_y
+
+    @property
+    def reach(self) -> float:
+        """Distance of the farthest point from the middle [mm]."""
+        return float(np.hypot(self.half_x, self.half_y))
+
+    def clearance(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Distance [mm] of places (n,) inside from the rim, (n,), negative outside."""
+        return np.minimum(self.half_x - np.abs(x), self.half_y - np.abs(y))
+
+    def edge(self, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Places x, y (n,) [mm] of the rim, for angles (n,) [rad] of a square's rim that is stretched to this one."""
+        x, y = np.cos(angle), np.sin(angle)
+        largest = np.maximum(np.abs(x), np.abs(y))
+        return self.half_x * x / largest, self.half_y * y / largest
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +142,14 @@ class Surface:
     @property
     def is_plane(self) -> bool:
         return self.curvature == 0.0
+
+    def sag(self, squared: np.ndarray) -> np.ndarray:
+        """Height (n,) [mm] above the vertex plane at squared distances (n,) [mm^2] from the axis.
+
+        c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)), beyond the equator as on it.
+        """
+        c, k = self.curvature, self.conic
+        return c * squared / (1 + np.sqrt(np.maximum(1 - (1 + k) * c * c * squared, 0.0)))
 
     def gradient(self, point: np.ndarray) -> np.ndarray:
         """Half the gradient of the surface's equation at local points (3, n), (3, n); its length is 1 at the vertex."""
@@ -202,6 +248,11 @@ class Interaction:
     def through(cls, surface: Surface, index: float = 1.0) -> Interaction:
         """A surface that changes nothing: an opening, a reference plane, the detector."""
         return cls(surface, "pass", index, index)
+
+
+def detector_plane(grid: PlaneGrid) -> Interaction:
+    """The detector's plane as the end of a sequence."""
+    return Interaction.through(Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1))))
 
 
 @dataclass(frozen=True, eq=False)

@@ -117,7 +117,7 @@ def reach_of(
 
 
 def _slope_directions(path: Path, box: SourceBox, target: PlaneGrid | PlanePoints) -> tuple[np.ndarray, np.ndarray]:
-    """Unit directions (q, 3) in the box along which the path's slope on the target grows, and of which axis (q,) it is."""
+    """Unit directions (q, 3) in the box along which the path's slope on the target grows, and along which axis (q,)."""
     faces = box.to_world(np.vstack([np.eye(3), -np.eye(3)]))
     # Pairs of places on either side of the middle and the corners: along u, then along v, of each.
     middles = np.array([(0.0, 0.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])

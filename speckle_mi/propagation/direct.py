@@ -47,6 +47,7 @@ LANES_AT_ONCE = 1 << 19
 MINIMUM_LANES = 1 << 10
 """With fewer lanes of targets than this the sources are split over lanes, so that all cores have work."""
 
+
 def supports(path: object) -> bool:
     """Whether the path has a closed form that the kernels know."""
     return isinstance(path, (FreeSpace, RayleighSommerfeld))
@@ -150,7 +151,6 @@ class _Sources:
 
 def _sum_over_sources(ad: ModuleType, sources: _Sources, first_block, end_block, outputs: int, add):
     """Two nested symbolic loops: ``add(accumulators, place, weight)`` in float32 over a block, float64 over blocks."""
-
     pair = ad.Array2f64 if sources.real is ad.Float64 else ad.Array2f
 
     def over_blocks(block, end, *totals):
@@ -172,7 +172,6 @@ def _sum_over_sources(ad: ModuleType, sources: _Sources, first_block, end_block,
 
 def _add_points(ad: ModuleType, sources: _Sources, a: list, b: list):
     """Adds one source to the points (a, b) [wavelengths]: one float64 path a pair."""
-
     real = sources.real
 
     def add(partial, place, weight):

@@ -39,7 +39,7 @@ SMALLEST_PART = 64
 """Sources that are not shared out further: their pairs cost less than NUFFTs."""
 
 RANK_SHARE = 0.35
-"""Share of the tolerance that the terms left out may take: a realisation's error scatters about the mean, which it is."""
+"""Share of the tolerance that the terms left out may take on average: a realisation's error scatters about that."""
 
 LARGEST_RANK = 80
 """Rank beyond which the expansion is given up."""

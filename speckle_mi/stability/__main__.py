@@ -97,7 +97,12 @@ def print_table(checks: Sequence[Check]) -> None:
     colours = {OK: "green", LIMIT: "yellow", BROKEN: "bold red"}
     for check in checks:
         numbers = (_text(check.value), _text(check.reference), _text(check.error, 2), _text(check.bound, 2))
-        table.add_row(escape(check.case), escape(check.quantity), *map(escape, numbers), f"[{colours[check.verdict]}]{check.verdict}[/]")
+        table.add_row(
+            escape(check.case),
+            escape(check.quantity),
+            *map(escape, numbers),
+            f"[{colours[check.verdict]}]{check.verdict}[/]",
+        )
     console.print(table)
     for check in checks:
         if check.message and check.verdict != OK:

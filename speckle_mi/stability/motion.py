@@ -51,7 +51,9 @@ def rotations(quick: bool):
 def rotation_of_known_points(quick: bool):
     """Points that are turned and moved here, and lit by the laser's definition, against those that the scene moves."""
     points = np.random.default_rng(2).normal(size=(60, 3)) * [0.05, 0.05, 0.01]
-    for turn in ((0.0, 60.0, 0.0),) if quick else ((1e-3, 0.0, 0.0), (0.0, 60.0, 0.0), (-60.0, 0.0, 0.0), (10.0, 25.0, 40.0)):
+    for turn in (
+        ((0.0, 60.0, 0.0),) if quick else ((1e-3, 0.0, 0.0), (0.0, 60.0, 0.0), (-60.0, 0.0, 0.0), (10.0, 25.0, 40.0))
+    ):
         shift = np.array([0.01, -0.02, 0.3])
         with point_scatterers(points) as path:
             bench = Bench(target={"points": path, "roughness": 0.0})

@@ -1,4 +1,4 @@
-"""Fields of a point behind holes and plates, in closed form or as integrals along a line, written down independently."""
+"""Fields of a point behind holes and plates, in closed form or as line integrals, written down independently."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def on_axis_integral(a: float, b: float, radius: float) -> complex:
 
 
 def off_axis_field(a: float, b: float, radius: float, x: float) -> complex:
-    """:func:`on_axis_integral` for a point ``x`` beside the axis, for a hole of any size: the light's own wave, and its edge's.
+    """:func:`on_axis_integral` for a point ``x`` beside the axis, a hole of any size: the light's wave and its edge's.
 
     Kirchhoff's integral over a hole is the geometric wave and an integral along the edge (Maggi 1888, Rubinowicz 1917;
     Born and Wolf, Principles of Optics, 8.9); that of Rayleigh and Sommerfeld is the difference of Kirchhoff's for the
@@ -39,7 +39,7 @@ def off_axis_field(a: float, b: float, radius: float, x: float) -> complex:
 
 
 def _edge_wave(a: float, point: np.ndarray, radius: float, count: int) -> complex:
-    """1/4 pi integral of e^{ik(r+s)}/(r s) (r x s).dl / (1 - r.s) along the edge, unit vectors r to it and s from it."""
+    """1/4 pi integral of e^{ik(r+s)}/(r s) (r x s).dl / (1 - r.s) along the edge, unit vectors r to, s from it."""
     angle = 2 * np.pi * (np.arange(count) + 0.5) / count
     edge = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], axis=1)
     along = np.stack([-np.sin(angle), np.cos(angle), np.zeros(count)], axis=1) * (2 * np.pi * radius / count)
