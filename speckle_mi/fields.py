@@ -17,6 +17,7 @@ from .optics.aim import aim
 from .optics.surfaces import Circle, Interaction, Sequence, detector_plane
 from .parameters import SceneError
 from .propagation import FreeSpace, RayleighSommerfeld, SumResult, coherent_sum
+from .propagation.reference import reference_sum
 from .ray_method import ray_field
 from .shadows import (
     SHADOWS_ON_DETECTOR,
@@ -123,7 +124,7 @@ def ray_channel(
     if shapes_beside_way(assembly, channel, extremes(sources, frame.axes)):
         values, *_ = shadowed_sum(
             sources,
-            lambda source, only: lit_pixels(assembly, channel, source, grid, only, rims=False),
+            lambda places, only: lit_pixels(assembly, channel, places, grid, only, rims=False),
             lambda group, seen: ray_field(
                 sequence, grid, sources[group], weights[group], assembly.beam.wavelength, rays
             ).field[seen],
@@ -221,7 +222,7 @@ def _with_shadows_on(
         return _summed(channel, path, sources[group], weights[group], places, *how).field
 
     field, _, error = shadowed_sum(
-        sources, lambda source, _: lit_nodes(channel, rim, source, points), sum_over, whole, SHADOWS_ON_OPENING
+        sources, lambda places, _: lit_nodes(channel, rim, places, points), sum_over, whole, SHADOWS_ON_OPENING
     )
     return field, error
 
@@ -232,8 +233,12 @@ def _shadowed_field(
     """Geometric field with all shadows, each scatterer's (or patch of the spot's) at its own place."""
     how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance
     result = _summed(channel, path, sources, weights, grid, *how)
+    pixels = grid.points()
 
     def sum_over(group: np.ndarray, seen: np.ndarray) -> np.ndarray:
+        if isinstance(path, FreeSpace) and len(group) == 1:
+            # A single scatterer's sum is shorter than the search for the best way to do it.
+            return reference_sum(path, sources[group], weights[group], pixels[seen.ravel()], assembly.beam.wavelength)
         rows, columns = np.nonzero(seen)
         places = PlanePoints(grid.origin, grid.u, grid.v, grid.pitch * columns, grid.pitch * rows)
         return _summed(channel, path, sources[group], weights[group], places, *how).field
@@ -241,7 +246,7 @@ def _shadowed_field(
     whole = result.field.reshape(grid.shape)
     field, share, error = shadowed_sum(
         sources,
-        lambda source, only: lit_pixels(assembly, channel, source, grid, only),
+        lambda places, only: lit_pixels(assembly, channel, places, grid, only),
         sum_over,
         whole,
         SHADOWS_ON_DETECTOR,

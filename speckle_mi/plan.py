@@ -109,7 +109,7 @@ def _edges_beside(assembly: Assembly, channel: Channel, spots: np.ndarray) -> li
         names = shapes_before(assembly, channel, spots)
     else:
         names = shapes_beside_way(assembly, channel, spots)
-        lit = np.array([lit_pixels(assembly, channel, spot, channel.grid, rims=False) for spot in spots if names])
+        lit = np.array([*lit_pixels(assembly, channel, spots, channel.grid, rims=False)] if names else [])
         if names and not np.any(lit):
             return []  # hidden altogether: stays dark
         if np.all(lit):

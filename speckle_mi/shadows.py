@@ -7,7 +7,7 @@ of the patches of the spot that they lie in.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ from .optics.aim import aim
 from .optics.surfaces import Interaction, Sequence, Surface, detector_plane
 from .optics.trace import RayStatus, trace
 from .propagation.chebyshev import chebyshev_nodes, interpolation_matrix
+from .propagation.cores import products_on_one_thread
 from .routes import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
 
@@ -37,6 +38,9 @@ _NODES = 24
 
 _COARSE = 96
 """Places a side on the detector at which the view from an opening is judged."""
+
+_SOURCES_AT_ONCE = 32
+"""Sources whose rays are aimed together."""
 
 _RING_SAMPLES, _ANGLE_SAMPLES = 5, 12
 
@@ -68,19 +72,20 @@ def extremes(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
 
 def shadowed_sum(
     sources: np.ndarray,
-    lit_from: Callable[[np.ndarray, np.ndarray | None], np.ndarray],
+    lit_from: Callable[[np.ndarray, np.ndarray | None], Iterable[np.ndarray]],
     sum_over: Callable[[np.ndarray, np.ndarray], np.ndarray],
     whole: np.ndarray,
     most: int,
 ) -> tuple[np.ndarray, float, float]:
     """A field with every scatterer's shadow in it, the share of places in shadow, and the error of sharing shadows.
 
-    sources: (n, 3); lit_from(source (3,), only) -> bool of the shape of the field, right where ``only`` is (None:
-    everywhere); sum_over(group, places) -> the field of the scatterers with the indices ``group`` at the places (bool)
-    alone, 1-D; whole: the field of all without shadows. Up to ``most`` scatterers have each their own shadow, more
-    share those of as many patches of the spot; the error is then what four times fewer patches change, relative L2.
+    sources: (n, 3); lit_from(places (g, 3), only) -> for each of them bool of the shape of the field, right where
+    ``only`` is (None: everywhere); sum_over(group, places) -> the field of the scatterers with the indices ``group`` at
+    the places (bool) alone, 1-D; whole: the field of all without shadows. Up to ``most`` scatterers have each their own
+    shadow, more share those of as many patches of the spot; the error is then what four times fewer patches change,
+    relative L2.
     """
-    few = [lit_from(sources[group].mean(axis=0), None) for group in _groups(sources, min(most, _FEW_SHADOWS))]
+    few = list(lit_from(_middles(_groups(sources, min(most, _FEW_SHADOWS)), sources), None))
     mixed = np.any(few, axis=0) & ~np.all(few, axis=0)
     # Where patches of the spot agree, so do all scatterers, but for a rim of a pixel or so.
     near = binary_dilation(mixed, iterations=_RIM_PIXELS) if mixed.ndim == 2 else mixed
@@ -96,15 +101,19 @@ def _with_own_shadows(groups, sources, lit_from, sum_over, steady, whole, near) 
     """``steady`` with the field at the places ``near`` a shadow's edge, and the share of places that shadows touch."""
     field = steady.copy()
     if np.any(near):
-        lit = np.array([np.packbits(lit_from(sources[group].mean(axis=0), near)[near]) for group in groups])
-        everywhere = np.unpackbits(np.bitwise_and.reduce(lit, axis=0))[: near.sum()].astype(bool)
+        lit = np.array([np.packbits(seen[near]) for seen in lit_from(_middles(groups, sources), near)])
+        everywhere = np.unpackbits(np.bitwise_and.reduce(lit, axis=0), count=np.count_nonzero(near)).view(bool)
         field[near] = np.where(everywhere, whole[near], 0.0)
         for group, packed in zip(groups, lit, strict=True):
             seen = np.zeros_like(near)
-            seen[near] = np.unpackbits(packed)[: near.sum()].astype(bool) & ~everywhere
+            seen[near] = np.unpackbits(packed, count=everywhere.size).view(bool) & ~everywhere
             if np.any(seen):
                 field[seen] += sum_over(group, seen)
     return field, float(np.mean((field != whole) | (whole == 0)))
+
+
+def _middles(groups: list[np.ndarray], sources: np.ndarray) -> np.ndarray:
+    return np.array([sources[group].mean(axis=0) for group in groups])
 
 
 def _groups(sources: np.ndarray, most: int) -> list[np.ndarray]:
@@ -170,16 +179,16 @@ def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarra
 def lit_pixels(
     assembly: Assembly,
     channel: Channel,
-    source: np.ndarray,
+    sources: np.ndarray,
     grid: PlaneGrid,
     only: np.ndarray | None = None,
     rims: bool = True,
-) -> np.ndarray:
-    """Whether each pixel (rows, columns) is lit from one source (3,): no shape, and no rim, in the way.
+) -> Iterator[np.ndarray]:
+    """For each of sources (n, 3), whether each pixel (rows, columns) is lit from it: no shape, and no rim, in the way.
 
     only: pixels to look at, all by default; rims: whether these count.
     """
-    return _Part.whole(channel).lit(assembly, source, grid, grid.shape, rims, only)
+    return _Part.whole(channel).lit(assembly, sources, grid, grid.shape, rims, only)
 
 
 @dataclass(frozen=True)
@@ -239,31 +248,41 @@ class _Part:
         return unblocked(assembly, self._touched, self._folded(assembly, points), clear)
 
     def lit(
-        self, assembly: Assembly, source: np.ndarray, grid: PlaneGrid, shape: tuple[int, int], rims: bool,
+        self, assembly: Assembly, sources: np.ndarray, grid: PlaneGrid, shape: tuple[int, int], rims: bool,
         only: np.ndarray | None = None,
-    ) -> np.ndarray:
-        """Whether places of a detector are lit from one source (3,), bool of ``shape``, from edge pixel to edge pixel.
+    ) -> Iterator[np.ndarray]:
+        """Whether places of a detector are lit from each of sources (n, 3): bool of ``shape``, edge to edge pixel.
 
         Rays and clearances are interpolated from few that are traced. only: where shapes are looked for, bool of
         ``shape``.
         """
         chosen = np.ones(shape, dtype=bool) if only is None else only
-        lit = chosen.copy()
         if not self.interactions:
             targets = _places(grid, *(np.linspace(-1, 1, count) if count > 1 else np.zeros(1) for count in shape))
             targets = targets[chosen.ravel()]
-            lit[chosen] = self.unblocked(assembly, np.stack([np.broadcast_to(source, targets.shape), targets]))
-            return lit
+            for source in sources:
+                lit = chosen.copy()
+                lit[chosen] = self.unblocked(assembly, np.stack([np.broadcast_to(source, targets.shape), targets]))
+                yield lit
+            return
         nodes = chebyshev_nodes(_NODES)
         targets = _places(grid, nodes, nodes)
-        points, margins = self.rays(np.broadcast_to(source, targets.shape), targets)
         rows, columns = (interpolation_matrix(_NODES, np.linspace(-1, 1, count)) for count in shape)
-        if rims:
-            lit &= np.all(rows @ margins.reshape(-1, _NODES, _NODES) @ columns.T >= 0, axis=0)
-        if self.shapes_beside(assembly, points):
-            fine = rows @ np.moveaxis(points, 2, 1).reshape(len(points), 3, _NODES, _NODES) @ columns.T
-            lit[chosen] &= self.unblocked(assembly, np.moveaxis(fine[:, :, chosen], 1, 2))
-        return lit
+        for some in np.array_split(sources, -(-len(sources) // _SOURCES_AT_ONCE)):
+            points, margins = self.rays(np.repeat(some, len(targets), axis=0), np.tile(targets, (len(some), 1)))
+            points = points.reshape(len(points), len(some), len(targets), 3)
+            margins = margins.reshape(-1, len(some), _NODES, _NODES)
+            for number in range(len(some)):
+                lit = chosen.copy()
+                if rims:
+                    for margin in margins[:, number]:
+                        lit &= _interpolated(rows, margin, columns) >= 0
+                if self.shapes_beside(assembly, points[:, number]):
+                    coarse = np.moveaxis(points[:, number], 2, 1).reshape(-1, _NODES, _NODES)
+                    fine = np.stack([_interpolated(rows, values, columns)[chosen] for values in coarse])
+                    fine = np.moveaxis(fine.reshape(len(points), 3, -1), 1, 2)
+                    lit[chosen] &= self.unblocked(assembly, fine)
+                yield lit
 
     @property
     def _touched(self) -> tuple[int, ...]:
@@ -285,6 +304,12 @@ class _Part:
         return folded
 
 
+def _interpolated(rows: np.ndarray, values: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """From nodes (n, n) to places (rows, columns)."""
+    with products_on_one_thread():
+        return rows @ values @ columns.T
+
+
 def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
     """World points (m n, 3) on the detector, row by row, at shares (m,), (n,) of the way from middle to edge pixels."""
     a, b = (
@@ -296,9 +321,10 @@ def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
 # Shadows on an opening, and what hides an opening from the detector
 
 
-def lit_nodes(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Whether points (n, 3) of the first opening are lit from one source (3,) over all rims not diffracted at."""
-    return np.all(_clearance_over(channel, rim, np.broadcast_to(source, points.shape), points) >= 0, axis=0)
+def lit_nodes(channel: Channel, rim: Rim, sources: np.ndarray, points: np.ndarray) -> Iterator[np.ndarray]:
+    """For each of sources (m, 3), whether points (n, 3) of the first opening are lit over all rims not diffracted at."""
+    for source in sources:
+        yield np.all(_clearance_over(channel, rim, np.broadcast_to(source, points.shape), points) >= 0, axis=0)
 
 
 def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
@@ -346,7 +372,7 @@ def hidden_pixels(assembly: Assembly, channel: Channel) -> np.ndarray | None:
     outer = opening_samples(channel.openings[-1].plane)
     outer = np.concatenate([outer[-1:], outer[:-1][-_ANGLE_SAMPLES:]])
     shape = tuple(min(_COARSE, count) for count in grid.shape)
-    hidden = ~np.all([part.lit(assembly, start, grid, shape, rims=True) for start in outer], axis=0)
+    hidden = ~np.all(list(part.lit(assembly, outer, grid, shape, rims=True)), axis=0)
     if not np.any(hidden):
         return None
     rows, columns = (
