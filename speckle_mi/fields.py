@@ -38,6 +38,9 @@ _DARK = 1e-4
 """Share of the power on pixels with an obstructed view of the opening from which it is refused: 1 % of the field, the
 wave of an edge that is otherwise left out."""
 
+_FEW_PAIRS = 300_000
+"""Pairs of scatterer and pixel below which their plain sum takes less time than the search for the best way to do it."""
+
 _GRADIENT_SAFETY = 1.05
 """Factor on the sampled phase gradient, for what lies between the samples."""
 
@@ -236,8 +239,7 @@ def _shadowed_field(
     pixels = grid.points()
 
     def sum_over(group: np.ndarray, seen: np.ndarray) -> np.ndarray:
-        if isinstance(path, FreeSpace) and len(group) == 1:
-            # A single scatterer's sum is shorter than the search for the best way to do it.
+        if isinstance(path, FreeSpace) and len(group) * np.count_nonzero(seen) < _FEW_PAIRS:
             return reference_sum(path, sources[group], weights[group], pixels[seen.ravel()], assembly.beam.wavelength)
         rows, columns = np.nonzero(seen)
         places = PlanePoints(grid.origin, grid.u, grid.v, grid.pitch * columns, grid.pitch * rows)

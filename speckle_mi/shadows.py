@@ -20,7 +20,6 @@ from .optics.aim import aim
 from .optics.surfaces import Interaction, Sequence, Surface, detector_plane
 from .optics.trace import RayStatus, trace
 from .propagation.chebyshev import chebyshev_nodes, interpolation_matrix
-from .propagation.cores import products_on_one_thread
 from .routes import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
 
@@ -306,8 +305,7 @@ class _Part:
 
 def _interpolated(rows: np.ndarray, values: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """From nodes (n, n) to places (rows, columns)."""
-    with products_on_one_thread():
-        return rows @ values @ columns.T
+    return rows @ values @ columns.T
 
 
 def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:

@@ -13,6 +13,7 @@ from .exr import FieldImage
 from .fields import ChannelField, channel_field, ray_channel
 from .geometry import Frame, Pose
 from .plan import Plan, make_plan
+from .propagation.cores import products_on_one_thread
 from .surface import Scatterers, illuminated_points, illuminated_scatterers
 from .visibility import pixels_in_view, visible_scatterers
 
@@ -39,7 +40,11 @@ def simulate(assembly: Assembly, pose: Pose | None = None) -> FieldImage:
 
 def simulate_frame(assembly: Assembly, pose: Pose | None = None) -> SimulatedFrame:
     """:func:`simulate` with the scatterers, the plan, the estimated error and the warnings."""
-    pose = assembly.pose if pose is None else pose
+    with products_on_one_thread():
+        return _simulated(assembly, assembly.pose if pose is None else pose)
+
+
+def _simulated(assembly: Assembly, pose: Pose) -> SimulatedFrame:
     frame = assembly.target.frame.moved(pose)
     warnings: list[str] = []
     plan = plan_of(assembly)
