@@ -11,9 +11,11 @@ from exact_optics import (
     diffracted,
     disc_nodes,
     element_xml,
+    facing,
     fermat,
     lens_surfaces,
     rectangle_nodes,
+    rendered,
     spherical,
     thin_lens_start,
     tilted,
@@ -34,20 +36,9 @@ SPREAD = np.array([[0.0, 0.0, 0.0], [0.4, 0.1, 0.0], [-0.3, 0.2, 0.01], [0.1, -0
 LENS = dict(radius1=50.0, radius2=-50.0, thickness=5.0)
 
 
-def facing(z: float, x: float = 0.0) -> Frame:
-    frame = detector_frame(direction(0), z)
-    return Frame(frame.origin + [x, 0.0, 0.0], frame.axes)
-
-
 def card(x: float, z: float, size: float = 10.0) -> str:
     """An opaque square whose edge is at x, all of it on the larger x."""
     return element_xml("rectangle", "card", Frame(np.array([x + size, 0.0, z]), np.eye(3)), BLACK, size=(size, size, 1))
-
-
-def rendered(assemble, text):
-    assembly = assemble(text)
-    frame = simulate_frame(assembly)
-    return assembly, frame, frame.image.field.ravel()
 
 
 def crossing(start, end, z):
