@@ -25,6 +25,7 @@ from speckle_mi.simulate import simulate_frame
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH
 INTENSITY = 1e-3  # Of the unobstructed intensity, everywhere: the promise.
+FIELD = 1e-5  # Of the unobstructed amplitude, at the worst pixel: ten times the L2 error that the scenes ask for.
 ENERGY = 0.01  # The promise for power; the sums are far better, the pixels' edges are not.
 REFERENCE = 1e-7  # Change of a reference when its nodes are doubled, relative to the unobstructed field.
 
@@ -100,8 +101,9 @@ def test_light_behind_a_wide_rectangle_has_fresnels_fringes_at_its_edge(assemble
 
     expected = np.abs(side(targets[:, 0]) * side(targets[:, 1])) ** 2
     measured = np.abs(field) ** 2 * (targets**2).sum(axis=1)
-    # The next order of the path, k x^4/8 (1/z1^3 + 1/z2^3), is 2.4e-3 rad at the edge.
-    assert np.max(np.abs(measured - expected)) <= 1e-2
+    # The next order of the path, k x^4/8 (1/z1^3 + 1/z2^3), is 2.4e-3 rad at the edge, of a field of at most 1.4.
+    paraxial = 1e-2
+    assert np.max(np.abs(measured - expected)) <= paraxial
 
 
 def test_two_apertures_in_a_row_diffract_one_after_the_other(assemble, tmp_path):
@@ -182,10 +184,10 @@ def test_without_diffraction_an_aperture_casts_a_sharp_shadow_of_undisturbed_lig
     hit = frame.to_local(source + share[:, None] * away)
     clearance = 0.5 - np.hypot(hit[:, 0], hit[:, 1])
     lit = clearance > 0
-    certain = np.abs(clearance) > 1e-6
+    certain = np.abs(clearance) > 1e-6  # mm; nearer, rounding decides
     exact = np.where(lit, spherical(source, targets, WAVELENGTH), 0)
     assert 100 < lit.sum() < lit.size - 100
-    assert np.max(np.abs(field - exact)[certain]) <= 1e-5 / 75
+    assert np.max(np.abs(field - exact)[certain]) <= FIELD / 75
     assert any("geometric shadows" in line for line in made.plan)
 
 

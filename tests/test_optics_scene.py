@@ -32,6 +32,8 @@ INDEX = 1.5151
 
 LENS_PHASE = 1e-5  # rms, in wavelengths: the promise for traced elements.
 MIRROR_PHASE = 1e-6  # The promise for plane mirrors, which are exact but for double-precision rounding.
+FIELD = 1e-5  # Relative L2: ten times the error that the scenes ask for.
+MIRROR_AMPLITUDE = 1e-6  # Relative, at the worst pixel: ten times the L2 error that the scene asks for.
 AMPLITUDE = 1e-5  # Relative; amplitudes change slowly, so this is below what the field's tolerance allows.
 
 
@@ -195,7 +197,7 @@ def test_field_over_a_plane_mirror_is_that_of_the_image_source(assemble, tmp_pat
     assembly, frame, field = rendered_unit(assemble, bench(tmp_path, source, detector, [xml, wall], tolerance=1e-7))
     exact = spherical(reflected(source, mirror), assembly.detector.points(), WAVELENGTH)
     assert waves_rms(field, exact) <= MIRROR_PHASE
-    assert np.max(np.abs(np.abs(field / exact) - 1)) <= 1e-6
+    assert np.max(np.abs(np.abs(field / exact) - 1)) <= MIRROR_AMPLITUDE
     assert any("unfolded" in line for line in frame.plan)
 
 
@@ -258,7 +260,7 @@ def test_light_behind_an_opaque_plate_is_missing_and_the_rest_is_free(assemble, 
     exact = spherical(source, points, WAVELENGTH)
     clear = np.abs(points[:, 0]) > 0.02
     assert np.all(field[shaded & clear] == 0)
-    assert np.linalg.norm((field - exact)[~shaded & clear]) <= 1e-5 * np.linalg.norm(exact)
+    assert np.linalg.norm((field - exact)[~shaded & clear]) <= FIELD * np.linalg.norm(exact)
 
 
 def test_wall_of_the_folded_scene_leaves_only_the_mirrors_light(shipped):
@@ -270,7 +272,7 @@ def test_wall_of_the_folded_scene_leaves_only_the_mirrors_light(shipped):
         c * spherical(p, places, WAVELENGTH)
         for p, c in zip(frame.scatterers.position, frame.scatterers.amplitude, strict=True)
     )
-    assert np.linalg.norm(frame.image.field.ravel() - exact) <= 1e-5 * np.linalg.norm(exact)
+    assert np.linalg.norm(frame.image.field.ravel() - exact) <= FIELD * np.linalg.norm(exact)
 
 
 def fails(name):
@@ -310,7 +312,7 @@ def test_an_aperture_far_larger_than_the_light_diffracts_nothing(shipped, monkey
         c * spherical(p, assembly.detector.points(), WAVELENGTH)
         for p, c in zip(frame.scatterers.position, frame.scatterers.amplitude, strict=True)
     )
-    assert np.linalg.norm(frame.image.field.ravel() - exact) <= 1e-5 * np.linalg.norm(exact)
+    assert np.linalg.norm(frame.image.field.ravel() - exact) <= FIELD * np.linalg.norm(exact)
     assert any("diffracts nothing" in line for line in frame.plan)
 
 
