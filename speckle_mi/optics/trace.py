@@ -260,7 +260,7 @@ def paired_rows(one: np.ndarray, two: np.ndarray, name_one: str, name_two: str) 
 
 
 def tube_at_end(step: Step) -> tuple[np.ndarray, np.ndarray]:
-    """Cross section (n,) of the ray tube at the end of a step, and distance (n,) [mm] from there to its nearest focal line.
+    """Cross section (n,) of the ray tube at the end of a step, and distance (n,) [mm] to its nearest focal line.
 
     The distance is that of the nearer zero of a0 + a1 t + a2 t^2, on either side; inf for a collimated tube.
     """
