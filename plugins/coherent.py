@@ -59,10 +59,10 @@ class Coherent(mi.SamplingIntegrator):
             llvm.require_usable()
         self.where = describe(props)
         self.options = Options(
-            method=read_choice(props, "method", "auto", _METHODS),
-            tolerance=read_number(props, "tolerance", 1e-4, at_least=1e-8, at_most=1e-1),
-            diffraction=read_boolean(props, "diffraction", True),
-            rays_per_source=read_integer(props, "rays_per_source", 1500, at_least=4, at_most=10**6),
+            method=read_choice(props, "method", Options.method, _METHODS),
+            tolerance=read_number(props, "tolerance", Options.tolerance, at_least=1e-8, at_most=1e-1),
+            diffraction=read_boolean(props, "diffraction", Options.diffraction),
+            rays_per_source=read_integer(props, "rays_per_source", Options.rays_per_source, at_least=4, at_most=10**6),
         )
         super().__init__(props)
 

@@ -99,8 +99,7 @@ class Detector(mi.Sensor):
         return True
 
     def bbox(self):
-        point = mi.ScalarPoint3f(*self.placement.frame.origin.tolist())
-        return mi.ScalarBoundingBox3f(point, point)
+        return self.placement.bbox()
 
     def world_transform(self):
         return self.placement.to_world

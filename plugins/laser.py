@@ -124,8 +124,7 @@ class Laser(mi.Emitter):
         return mi.Spectrum(2 / (np.pi * radius**2) * dr.exp(-2 * dr.squared_norm(across) / radius**2))
 
     def bbox(self):
-        point = mi.ScalarPoint3f(*self.placement.frame.origin.tolist())
-        return mi.ScalarBoundingBox3f(point, point)
+        return self.placement.bbox()
 
     def world_transform(self):
         return self.placement.to_world

@@ -23,6 +23,11 @@ class Placement:
         self.frame = Frame(origin=matrix[:3, 3].copy(), axes=matrix[:3, :3].copy())
         self.to_world = mi.Transform4f(matrix)
 
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        """The box of a plugin without extent: the place where it stands."""
+        point = mi.ScalarPoint3f(*self.frame.origin.tolist())
+        return mi.ScalarBoundingBox3f(point, point)
+
     def traverse(self, callback) -> None:
         callback.put("to_world", self.to_world, mi.ParamFlags.NonDifferentiable)
 

@@ -9,7 +9,7 @@ import numpy as np
 from speckle_mi.geometry import PlaneGrid, vectors_across
 from speckle_mi.optics.aim import aim
 from speckle_mi.optics.surfaces import Sequence
-from speckle_mi.optics.trace import Log, RayStatus, march, zeros_between
+from speckle_mi.optics.trace import Log, RayStatus, march, tube_at_end, zeros_between
 
 PROBE_RAYS, DENSE_PROBE_RAYS = 41, 201
 """Rays along each side of the lattices that find the solid angle to be covered; dense: the first look for a pinhole."""
@@ -61,10 +61,7 @@ def trace_fan(system: Sequence, source: np.ndarray, axes: np.ndarray, p: np.ndar
             log.add(step)
             length += np.abs(step.length)
             caustics += zeros_between(*step.tube, step.length)
-        a0, a1, a2 = step.tube
-        section, slope = a0 + step.length * (a1 + step.length * a2), a1 + 2.0 * step.length * a2
-        bend = np.sqrt(np.maximum(slope * slope - 4.0 * section * a2, 0.0))
-        focal = 2.0 * np.abs(section) / (np.abs(slope) + bend)
+        section, focal_distance = tube_at_end(step)
         state = step.state
         return Rays(
             a=state[0, 0],
@@ -73,7 +70,7 @@ def trace_fan(system: Sequence, source: np.ndarray, axes: np.ndarray, p: np.ndar
             tube=state[0, 2] * state[1, 3] - state[0, 3] * state[1, 2],
             amplitude=1.0 / np.sqrt(np.abs(section)),
             spread=np.abs(section) / length**2,
-            reach=np.fmin(focal, length),
+            reach=np.fmin(focal_distance, length),
             caustics=caustics,
             margins=log.stacked_margins(),
             status=log.status,

@@ -22,7 +22,6 @@ Theory and Approximation Practice", SIAM 2013, ch. 13), so the error falls like 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,14 +65,13 @@ def ray_field(
     amplitude: np.ndarray,
     wavelength: float,
     rays_per_source: int,
-    progress: Callable[[int, int], None] | None = None,
 ) -> RayField:
     """Field on ``grid`` of point sources, by rays through ``sequence``, which ends before the detector (None: free
     space).
 
     position: (n, 3) [mm], world; amplitude c: (n,) complex, the field at unit distance; wavelength [mm], vacuum;
-    rays_per_source: N2, at least ``FEWEST_RAYS``; the lattice holds as many as fit, at most N2. progress: called with
-    (sources done, sources). Phasor e^{+ikL}, with the factor -i of every focal line on the way. No random numbers.
+    rays_per_source: N2, at least ``FEWEST_RAYS``; the lattice holds as many as fit, at most N2. Phasor e^{+ikL}, with
+    the factor -i of every focal line on the way. No random numbers.
     Raises ValueError for arrays that do not fit or values out of range, and where the detector meets a caustic.
     """
     position, amplitude = _checked(position, amplitude, wavelength, rays_per_source)
@@ -81,10 +79,8 @@ def ray_field(
     total = _Sum(grid, wavelength)
     if len(position):
         cones = LaunchCones.around(system, grid, position)
-        for done, (source, weight) in enumerate(zip(position, amplitude, strict=True), start=1):
+        for source, weight in zip(position, amplitude, strict=True):
             total.add(arrivals_of(system, grid, cones, source, rays_per_source), weight)
-            if progress:
-                progress(done, len(position))
     return total.result()
 
 

@@ -172,7 +172,7 @@ def _settings(options) -> SweepSettings:
         raise ValueError(f"--seeds {options.seeds}: must be at least 1")
     if options.window is not None and options.window < 4:
         raise ValueError(f"--window {options.window}: must be at least 4 px")
-    frames = options.seeds * (1 + len(dofs) * options.steps)
+    frames = _frame_count(options.seeds, len(dofs), options.steps)
     if frames > MAX_FRAMES:
         raise ValueError(
             f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, "
@@ -226,7 +226,11 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
 
 def frame_count(settings: SweepSettings) -> int:
     """Frames of a sweep, references included."""
-    return len(settings.seeds) * (1 + len(settings.dofs) * len(settings.displacements))
+    return _frame_count(len(settings.seeds), len(settings.dofs), len(settings.displacements))
+
+
+def _frame_count(seeds: int, dofs: int, steps: int) -> int:
+    return seeds * (1 + dofs * steps)
 
 
 def run_sweep(

@@ -102,8 +102,9 @@ def _across(heading: np.ndarray, distance: float) -> np.ndarray:
     """Displacements (8, 3) across a heading (3,) [mm], or none, (1, 3), for the distance 0."""
     if distance == 0:
         return np.zeros((1, 3))
+    across = vectors_across(heading / np.linalg.norm(heading))
     angle = np.pi / 4 * np.arange(8)
-    return distance * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ vectors_across(heading / np.linalg.norm(heading))
+    return distance * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
 
 
 def _segment_free(assembly: Assembly, one: int, two: int, start: np.ndarray, end: np.ndarray) -> np.ndarray:

@@ -15,9 +15,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scene_builder import (
+    WORLD,
+    detector_frame,
+    detector_xml,
+    direction,
+    frame_along,
+    integrator_xml,
+    laser_xml,
+    parameters,
+    scene_of,
+    target_xml,
+    transform,
+)
 from scipy.special import roots_legendre
 
-from speckle_mi.geometry import Frame
+from speckle_mi.geometry import Frame, rotation_matrix
 from speckle_mi.simulate import simulate_frame
 
 STEP = 1e-40  # Of a complex step: derivatives without any cancellation.
@@ -187,22 +200,13 @@ def spherical(sources, targets, wavelength):
 
 def tilted(*degrees: float) -> np.ndarray:
     """(3, 3) axes turned by a rotation vector [deg]."""
-    from speckle_mi.geometry import rotation_matrix
-
     return rotation_matrix(np.radians(degrees))
 
 
 def element_xml(kind: str, name: str, frame, inside: str = "", size=(1.0, 1.0, 1.0), **values) -> str:
     """A shape with ``to_world`` from a frame, scaled before by ``size``."""
-    from scene_builder import parameters
-
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = frame.axes * np.asarray(size, float), frame.origin
-    numbers = " ".join(repr(float(value)) for value in matrix.ravel())
-    return (
-        f'<shape type="{kind}" id="{name}"><transform name="to_world"><matrix value="{numbers}"/></transform>'
-        f"{parameters(values)}{inside}</shape>"
-    )
+    to_world = transform(Frame(frame.origin, frame.axes * np.asarray(size, float)))
+    return f'<shape type="{kind}" id="{name}">{to_world}{parameters(values)}{inside}</shape>'
 
 
 DIELECTRIC = '<bsdf type="dielectric"><float name="int_ior" value="1.5151"/><float name="ext_ior" value="1"/></bsdf>'
@@ -212,8 +216,6 @@ BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
 
 def bench(tmp_path, sources, detector, elements, *, pixels=(24, 16), pitch=0.05, wavelength=632.8, **integrator) -> str:
     """A scene of point sources (n, 3) [mm], elements, a detector, and a plane wave of ``wavelength`` [nm] along -z."""
-    from scene_builder import WORLD, detector_xml, frame_along, integrator_xml, laser_xml, scene_of, target_xml
-
     table = tmp_path / "points.csv"
     np.savetxt(table, np.atleast_2d(sources), delimiter=",", fmt="%.17g")
     light = frame_along(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 50.0]), np.array([1.0, 0.0, 0.0]))
@@ -228,15 +230,19 @@ def bench(tmp_path, sources, detector, elements, *, pixels=(24, 16), pitch=0.05,
 
 def facing(z: float, x: float = 0.0, y: float = 0.0, tilt=(0.0, 0.0, 0.0)) -> Frame:
     """A detector that looks down the z axis, turned about its centre."""
-    from scene_builder import detector_frame, direction
-
     frame = detector_frame(direction(0), z)
     return Frame(frame.origin + [x, y, 0.0], tilted(*tilt) @ frame.axes)
 
 
 def rendered(assemble, text: str):
-    """(assembly, frame, field (pixels,) of a unit source): a single source's field, less the illumination."""
+    """(assembly, frame, field (pixels,)) of a scene."""
     assembly = assemble(text)
     frame = simulate_frame(assembly)
+    return assembly, frame, frame.image.field.ravel()
+
+
+def rendered_unit(assemble, text: str):
+    """(assembly, frame, field (pixels,) of a unit source): a single source's field, less the illumination."""
+    assembly, frame, field = rendered(assemble, text)
     assert frame.scatterers.count == 1
-    return assembly, frame, frame.image.field.ravel() / frame.scatterers.amplitude[0]
+    return assembly, frame, field / frame.scatterers.amplitude[0]

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE, PLUGINS = ROOT / "speckle_mi", ROOT / "plugins"
 RENDERER = {"mitsuba", "drjit"}
-COMMANDS = {"cli", "render", "sweep", "report", "sysinfo", "converge", "benchmark", "stability", "preview"}
+COMMANDS = {"cli", "render", "sweep", "report", "sysinfo", "converge", "benchmark", "stability"}
 THIN = 230  # Lines of a plugin: documentation, parameters and registration, no physics.
 
 
@@ -116,8 +116,6 @@ def test_only_the_registration_imports_plugins(module):
 @pytest.mark.parametrize("path", sorted(PLUGINS.glob("[!_]*.py")), ids=lambda path: path.stem)
 def test_plugins_are_thin(path):
     text = path.read_text(encoding="utf-8")
-    if not text:
-        pytest.skip("the plugin is still empty")
     tree = ast.parse(text)
     assert len(text.splitlines()) <= THIN
     assert ".. pluginparameters::" in ast.get_docstring(tree)

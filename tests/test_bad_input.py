@@ -222,9 +222,9 @@ def test_files_of_other_programs_are_not_overwritten_unless_forced(run, tmp_path
     (tmp_path / "f.exr").write_text("mine")
     refused(run("render", SCENE, "-o", "f.exr", *SMALL), "f.exr", "--force")
     (tmp_path / "out").mkdir()
-    for command, name in (("converge", "converge.csv"), ("stability.__main__", "stability.csv")):
+    for start, name in ((("converge", SCENE), "converge.csv"), (("stability.__main__",), "stability.csv")):
         (tmp_path / "out" / name).write_text("mine")
-        refused(run(command, *([SCENE] if command == "converge" else []), "--out", "out"), name, "--force")
+        refused(run(*start, "--out", "out"), name, "--force")
     (tmp_path / "b.json").write_text("{}")
     refused(run("benchmark", "--quick", "--out", "b.json"), "b.json", "--force")
 

@@ -12,7 +12,7 @@ from exact_optics import (
     element_xml,
     facing,
     rectangle_nodes,
-    rendered,
+    rendered_unit,
     spherical,
     tilted,
 )
@@ -25,6 +25,7 @@ from speckle_mi.simulate import simulate_frame
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH
 INTENSITY = 1e-3  # Of the unobstructed intensity, everywhere: the promise.
+FIELD = 1e-5  # Of the unobstructed amplitude, at the worst pixel: ten times the L2 error that the scenes ask for.
 ENERGY = 0.01  # The promise for power; the sums are far better, the pixels' edges are not.
 REFERENCE = 1e-7  # Change of a reference when its nodes are doubled, relative to the unobstructed field.
 
@@ -61,7 +62,7 @@ def test_light_behind_a_round_aperture_of_fresnel_number_21_is_the_exact_integra
     xml = element_xml("aperture", "hole", frame, radius=radius)
     # A strip from one dark side over both shadow edges to the other, wide enough that the strip's rows differ.
     text = bench(tmp_path, source, facing(75.0, tilt=(0, 0, 30)), [xml], pixels=(160, 2), pitch=0.018, tolerance=1e-4)
-    assembly, frame_made, field = rendered(assemble, text)
+    assembly, frame_made, field = rendered_unit(assemble, text)
     targets = assembly.detector.points()
     exact = through(source, frame, disc_nodes(radius, 160, 640), targets)
     few = targets[::23]
@@ -78,7 +79,7 @@ def test_light_behind_a_rectangular_aperture_is_the_exact_integral(assemble, tmp
     frame, source = Frame(np.array([0.0, 0.0, 30.0]), tilted(0, tilt, 20)), np.array([0.1, 0.0, 0.0])
     xml = element_xml("aperture", "slit", frame, shape="rectangle", width=0.8, height=0.3)
     text = bench(tmp_path, source, facing(70.0), [xml], pixels=(40, 24), pitch=0.07)
-    assembly, _, field = rendered(assemble, text)
+    assembly, _, field = rendered_unit(assemble, text)
     targets = assembly.detector.points()
     exact = through(source, frame, rectangle_nodes(0.4, 0.15, 200), targets)
     check_intensity(field, exact, source, targets)
@@ -90,7 +91,7 @@ def test_light_behind_a_wide_rectangle_has_fresnels_fringes_at_its_edge(assemble
     frame = Frame(np.array([0.0, 0.0, z1]), np.eye(3))
     xml = element_xml("aperture", "screen", frame, shape="rectangle", width=2 * edge, height=2 * edge)
     text = bench(tmp_path, (0, 0, 0), facing(z1 + z2), [xml], pixels=(120, 1), pitch=0.025)
-    assembly, _, field = rendered(assemble, text)
+    assembly, _, field = rendered_unit(assemble, text)
     targets = assembly.detector.points()
     scale = np.sqrt(2 / WAVELENGTH * (1 / z1 + 1 / z2))
 
@@ -100,8 +101,9 @@ def test_light_behind_a_wide_rectangle_has_fresnels_fringes_at_its_edge(assemble
 
     expected = np.abs(side(targets[:, 0]) * side(targets[:, 1])) ** 2
     measured = np.abs(field) ** 2 * (targets**2).sum(axis=1)
-    # The next order of the path, k x^4/8 (1/z1^3 + 1/z2^3), is 2.4e-3 rad at the edge.
-    assert np.max(np.abs(measured - expected)) <= 1e-2
+    # The next order of the path, k x^4/8 (1/z1^3 + 1/z2^3), is 2.4e-3 rad at the edge, of a field of at most 1.4.
+    paraxial = 1e-2
+    assert np.max(np.abs(measured - expected)) <= paraxial
 
 
 def test_two_apertures_in_a_row_diffract_one_after_the_other(assemble, tmp_path):
@@ -109,7 +111,7 @@ def test_two_apertures_in_a_row_diffract_one_after_the_other(assemble, tmp_path)
     source = np.array([0.02, 0.0, 0.0])
     elements = [element_xml("aperture", n, f, radius=r) for n, f, r in (("z", first, 0.1), ("a", second, 0.15))]
     text = bench(tmp_path, source, facing(60.0), elements, pixels=(40, 3), pitch=0.04)
-    assembly, frame, field = rendered(assemble, text)
+    assembly, frame, field = rendered_unit(assemble, text)
     targets = assembly.detector.points()
     x, y, weight = disc_nodes(0.15, 40, 120)
     middle = second.to_world(np.stack([x, y, 0 * x], axis=1))
@@ -125,7 +127,7 @@ def test_order_of_apertures_in_the_file_does_not_matter(assemble, tmp_path):
         for n, z in (("near", 20.0), ("far", 35.0))
     ]
     images = [
-        rendered(assemble, bench(tmp_path, (0, 0, 0), facing(60), e, pixels=(12, 8)))[2]
+        rendered_unit(assemble, bench(tmp_path, (0, 0, 0), facing(60), e, pixels=(12, 8)))[2]
         for e in (elements, elements[::-1])
     ]
     assert np.array_equal(*images)
@@ -140,7 +142,7 @@ def test_edge_of_a_small_mirror_diffracts_like_the_opening_it_is(assemble, tmp_p
         "rectangle", "wall", Frame(np.array([8.0, 0, 13]), tilted(0, 90, 0)), '<bsdf type="diffuse"/>', size=(12, 12, 1)
     )
     xml = element_xml("rectangle", "mirror", mirror, MIRROR, size=(*half, 1))
-    assembly, frame, field = rendered(
+    assembly, frame, field = rendered_unit(
         assemble, bench(tmp_path, source, detector, [xml, wall], pixels=(40, 24), pitch=0.05)
     )
     normal = mirror.axes[:, 2]
@@ -175,17 +177,17 @@ def test_without_diffraction_an_aperture_casts_a_sharp_shadow_of_undisturbed_lig
     source, frame = np.array([0.2, -0.1, 0.0]), Frame(np.array([0.0, 0, 41.0]), tilted(10, 0, 0))
     xml = element_xml("aperture", "hole", frame, radius=0.5)
     text = bench(tmp_path, source, facing(75), [xml], pixels=(80, 60), pitch=0.04, diffraction=False)
-    assembly, made, field = rendered(assemble, text)
+    assembly, made, field = rendered_unit(assemble, text)
     targets = assembly.detector.points()
     away = targets - source
     share = (frame.origin - source) @ frame.axes[:, 2] / (away @ frame.axes[:, 2])
     hit = frame.to_local(source + share[:, None] * away)
     clearance = 0.5 - np.hypot(hit[:, 0], hit[:, 1])
     lit = clearance > 0
-    certain = np.abs(clearance) > 1e-6
+    certain = np.abs(clearance) > 1e-6  # mm; nearer, rounding decides
     exact = np.where(lit, spherical(source, targets, WAVELENGTH), 0)
     assert 100 < lit.sum() < lit.size - 100
-    assert np.max(np.abs(field - exact)[certain]) <= 1e-5 / 75
+    assert np.max(np.abs(field - exact)[certain]) <= FIELD / 75
     assert any("geometric shadows" in line for line in made.plan)
 
 
@@ -195,7 +197,7 @@ def test_an_aperture_opened_wider_and_wider_leaves_free_space(assemble, tmp_path
     xml = element_xml("aperture", "hole", Frame(np.array([0.0, 0, 40.0]), np.eye(3)), radius=radius, outer_radius=30.0)
     source = np.zeros(3)
     text = bench(tmp_path, source, facing(80, 0.15, 0.1), [xml], pixels=(16, 12), pitch=0.01)
-    assembly, made, field = rendered(assemble, text)
+    assembly, made, field = rendered_unit(assemble, text)
     free = spherical(source, assembly.detector.points(), WAVELENGTH)
     error = np.linalg.norm(field - free) / np.linalg.norm(free)
     assert error <= bound, (error, made.plan)
@@ -217,7 +219,7 @@ def test_power_through_an_aperture_arrives_at_the_detector_that_catches_it_all(a
     source, frame = np.array([0.1, 0.0, 0.0]), Frame(np.array([0.0, 0, 41.0]), np.eye(3))
     xml = element_xml("aperture", "hole", frame, radius=radius)
     side, pitch = 200, 2 * half_width / 200
-    assembly, _, field = rendered(
+    assembly, _, field = rendered_unit(
         assemble, bench(tmp_path, source, facing(75), [xml], pixels=(side, side), pitch=pitch, tolerance=1e-4)
     )
     caught = np.sum(np.abs(field) ** 2) * pitch**2
@@ -240,7 +242,7 @@ def test_power_through_lens_and_stop_arrives_in_and_out_of_focus(assemble, tmp_p
     )
     elements = [lens, element_xml("aperture", "stop", stop, radius=2.0, outer_radius=15.0)]
     side, pitch = 200, 2 * half_width / 200
-    assembly, made, field = rendered(
+    assembly, made, field = rendered_unit(
         assemble,
         bench(tmp_path, (0, 0, 0), facing(detector_z), elements, pixels=(side, side), pitch=pitch, tolerance=1e-4),
     )

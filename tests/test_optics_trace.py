@@ -225,6 +225,25 @@ def test_margins_vanish_on_the_rim_and_are_positive_inside():
     np.testing.assert_allclose(margins[2], 1.0 - (points[:, :2] ** 2).sum(axis=1) / 4.0, atol=1e-14)
 
 
+@pytest.mark.parametrize("outline", [Circle(0.7), Rectangle(0.2, 3.0)], ids=["circle", "rectangle"])
+def test_edge_of_an_outline_has_no_clearance_and_spans_its_size(outline):
+    x, y = outline.edge(2 * np.pi * np.arange(360) / 360)
+    np.testing.assert_allclose(outline.clearance(x, y), 0.0, atol=POINT_TOLERANCE)
+    np.testing.assert_allclose(outline.margins(x, y).min(axis=0), 0.0, atol=POINT_TOLERANCE)
+    np.testing.assert_allclose([x.max(), y.max()], outline.half_size, atol=POINT_TOLERANCE)
+    assert np.hypot(x, y).max() == pytest.approx(outline.reach, abs=POINT_TOLERANCE)
+    assert np.all(outline.clearance(0.9 * x, 0.9 * y) > 0) and np.all(outline.clearance(1.1 * x, 1.1 * y) < 0)
+
+
+@pytest.mark.parametrize("conic", [-2.3, -1.0, 0.0, 1.5])
+def test_sag_lies_on_the_surface(conic):
+    surface = Surface(frame(), 0.05, conic)
+    squared = np.linspace(0.0, 160.0, 50)  # mm^2, for the flattest spheroid up to its equator
+    z = surface.sag(squared)
+    residual = 0.05 * squared + 0.05 * (1 + conic) * z**2 - 2 * z
+    np.testing.assert_allclose(residual, 0.0, atol=POINT_TOLERANCE)
+
+
 def test_nonsense_is_refused_by_name():
     with pytest.raises(ValueError, match="orthonormal"):
         Surface(Frame(np.zeros(3), 2 * np.eye(3)))

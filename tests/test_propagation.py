@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from speckle_mi.geometry import PlaneGrid, PlanePoints
-from speckle_mi.propagation import FreeSpace, RayleighSommerfeld, direct
+from speckle_mi.propagation import FreeSpace, RayleighSommerfeld, direct, runs
 from speckle_mi.propagation.direct import direct_sum
 from speckle_mi.propagation.reference import reference_sum
 
@@ -96,7 +96,7 @@ def test_field_on_the_axis_of_a_circular_opening_is_the_closed_form():
 
 def test_cubic_along_a_run_is_only_used_where_its_remainder_is_small():
     sources, _ = rough_spot(50)
-    extent = [direct.choose_run(direct.Extent.of(sources, g), g, WAVELENGTH, None)
+    extent = [runs.choose_run(runs.Extent.of(sources, g), g, WAVELENGTH, None)
               for g in (detector(d, 0.3, (20, 64)) for d in (0.5, 15.0, 60.0))]  # fmt: skip
     assert extent == [None, 8, 16]
 

@@ -11,9 +11,11 @@ from exact_optics import (
     diffracted,
     disc_nodes,
     element_xml,
+    facing,
     fermat,
     lens_surfaces,
     rectangle_nodes,
+    rendered,
     spherical,
     thin_lens_start,
     tilted,
@@ -29,25 +31,15 @@ from speckle_mi.simulate import simulate_frame
 WAVELENGTH = 632.8e-6
 FIELD = 1e-5  # Relative L2 over the pixels that are clear of a shadow's edge by more than the next figure.
 EDGE = 1e-4  # Distance [mm] at the edge within which single precision decides, of the rays that look for shapes.
+LENS_EDGE = 1e-3  # The same behind a lens, whose rays are interpolated from few.
 INTENSITY = 1e-3  # Of the unobstructed intensity: the promise for diffracted light.
 SPREAD = np.array([[0.0, 0.0, 0.0], [0.4, 0.1, 0.0], [-0.3, 0.2, 0.01], [0.1, -0.5, -0.01]])
 LENS = dict(radius1=50.0, radius2=-50.0, thickness=5.0)
 
 
-def facing(z: float, x: float = 0.0) -> Frame:
-    frame = detector_frame(direction(0), z)
-    return Frame(frame.origin + [x, 0.0, 0.0], frame.axes)
-
-
 def card(x: float, z: float, size: float = 10.0) -> str:
     """An opaque square whose edge is at x, all of it on the larger x."""
     return element_xml("rectangle", "card", Frame(np.array([x + size, 0.0, z]), np.eye(3)), BLACK, size=(size, size, 1))
-
-
-def rendered(assemble, text):
-    assembly = assemble(text)
-    frame = simulate_frame(assembly)
-    return assembly, frame, frame.image.field.ravel()
 
 
 def crossing(start, end, z):
@@ -128,7 +120,7 @@ def test_knife_edge_before_or_behind_a_lens_shades_every_scatterer_for_itself(as
     else:
         places = np.array([crossing(targets, targets + d, z)[:, 0] for d in arrival]) - edge
     parts = made.scatterers.amplitude[:, None] * amplitude * np.exp(2j * np.pi / WAVELENGTH * length)
-    check(field, parts, places < 0, np.abs(places) < 1e-3)
+    check(field, parts, places < 0, np.abs(places) < LENS_EDGE)
 
 
 def test_mirror_that_ends_in_the_beam_shows_the_image_to_a_part_of_the_detector(assemble, tmp_path):

@@ -8,7 +8,6 @@ from dataclasses import fields
 
 import pytest
 
-GROUPS = ("scale", "surfaces", "motion", "illumination", "optics", "precision", "correlator")
 FEWEST_CHECKS = 120
 """Checks of the quick catalogue, so that none is lost unnoticed."""
 
@@ -42,7 +41,7 @@ def test_the_catalogue_writes_its_table_and_tells_a_broken_bound_by_its_status(
     catalogue, tmp_path, monkeypatch, capsys
 ):
     from speckle_mi.stability import __main__ as stability
-    from speckle_mi.stability.case import within
+    from speckle_mi.stability.case import Check, within
 
     monkeypatch.setattr(stability, "catalogue", lambda *_, **__: iter(catalogue[:3]))
     assert stability.main(["--out", str(tmp_path / "out")]) == 0
@@ -50,8 +49,6 @@ def test_the_catalogue_writes_its_table_and_tells_a_broken_bound_by_its_status(
         rows = list(csv.DictReader(file))
     held = json.loads((tmp_path / "out" / "stability.json").read_text())["checks"]
     assert len(rows) == len(held) == 3
-    from speckle_mi.stability.case import Check
-
     assert list(rows[0]) == list(held[0]) == [column.name for column in fields(Check)]
     assert "3 checks: 3 ok" in capsys.readouterr().out
     off = within("made up", "error", 1.0, 0.0, 1.0, 0.5)

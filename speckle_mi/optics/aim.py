@@ -18,7 +18,7 @@ from functools import partial
 import numpy as np
 
 from speckle_mi.optics.surfaces import Sequence, dot
-from speckle_mi.optics.trace import Log, RayStatus, march, paired_rows, zeros_between
+from speckle_mi.optics.trace import Log, RayStatus, march, paired_rows, tube_at_end, zeros_between
 
 TARGET_TOLERANCE = 1e-8
 """Distance [mm] from ray to target that counts as hit. The path length is corrected for it to first order, so what is
@@ -330,10 +330,7 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
         axes = sequence.last.surface.frame.axes
         arrival = axes @ step.state[:, 1]
         landing = sequence.last.surface.frame.to_world(step.state[:, 0].T)
-        a0, a1, a2 = step.tube
-        section, slope = a0 + step.length * (a1 + step.length * a2), a1 + 2.0 * step.length * a2
-        bend = np.sqrt(np.maximum(slope * slope - 4.0 * section * a2, 0.0))
-        focal_distance = np.where(section == 0.0, 0.0, 2.0 * np.abs(section) / (np.abs(slope) + bend))
+        section, focal_distance = tube_at_end(step)
         offset = (targets - landing).T
         path = log.optical_path_length + sequence.last.index_before * dot(arrival, offset)
         status = log.status

@@ -38,11 +38,8 @@ class TracedPath:
         """
         return self._all_pairs(P, D).margins.reshape(-1, len(P), len(D))
 
-    def aimed(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
-        """The rays of all pairs, n * m, row-major (source, target); pairs without a ray are marked, not refused."""
-        return aim(self.sequence, np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
-
     def _all_pairs(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
+        """The rays of all pairs, n * m, row-major (source, target)."""
         return self.paired(np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
 
     def paired(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:

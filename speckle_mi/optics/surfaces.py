@@ -146,7 +146,7 @@ class Surface:
     def sag(self, squared: np.ndarray) -> np.ndarray:
         """Height (n,) [mm] above the vertex plane at squared distances (n,) [mm^2] from the axis.
 
-        c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)), beyond the equator as on it.
+        c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)); beyond the equator, where there is no surface, the root counts as 0.
         """
         c, k = self.curvature, self.conic
         return c * squared / (1 + np.sqrt(np.maximum(1 - (1 + k) * c * c * squared, 0.0)))

@@ -259,6 +259,17 @@ def paired_rows(one: np.ndarray, two: np.ndarray, name_one: str, name_two: str) 
     return one, two
 
 
+def tube_at_end(step: Step) -> tuple[np.ndarray, np.ndarray]:
+    """Cross section (n,) of the ray tube at the end of a step, and distance (n,) [mm] to its nearest focal line.
+
+    The distance is that of the nearer zero of a0 + a1 t + a2 t^2, on either side; inf for a collimated tube.
+    """
+    a0, a1, a2 = step.tube
+    section, slope = a0 + step.length * (a1 + step.length * a2), a1 + 2.0 * step.length * a2
+    bend = np.sqrt(np.maximum(slope * slope - 4.0 * section * a2, 0.0))
+    return section, np.where(section == 0.0, 0.0, 2.0 * np.abs(section) / (np.abs(slope) + bend))
+
+
 def zeros_between(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, length: np.ndarray) -> np.ndarray:
     """Zeros of a0 + a1 t + a2 t^2 in 0 < t < length, (n,) int.
 

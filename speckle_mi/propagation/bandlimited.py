@@ -16,10 +16,11 @@ import drjit as dr
 import numpy as np
 from scipy.special import jv
 
+from ..backend import arrays
 from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import chebyshev_nodes, interpolation_matrix
 from .cores import on_all_cores
-from .device import WRITE, backend, phasor
+from .device import WRITE, phasor
 from .direct import SINGLE_PRECISION, supports
 from .paths import Path
 from .plane import Rectangle
@@ -266,7 +267,7 @@ def _with_common_phase(
     scale: float,
 ) -> np.ndarray:
     """``smooth`` (rows, 2, columns) real times e^{ikV(P0, D)}: V the distance, or the given turns (rows, columns)."""
-    ad = backend()
+    ad = arrays()
     columns = grid.shape[1]
     count = smooth.size // 2
     real, pair = (ad.Float64, ad.Array2f64) if smooth.dtype == np.float64 else (ad.Float32, ad.Array2f)

@@ -16,13 +16,14 @@ from ..geometry import PlaneGrid, PlanePoints
 from .bandlimited import NodeGrid, band_limited_sum, node_grid, reach_of
 from .cores import products_on_one_thread
 from .device import active_variant
-from .direct import SINGLE_PRECISION, Extent, direct_sum, supports
+from .direct import SINGLE_PRECISION, direct_sum, supports
 from .interpolated import interpolated
 from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
 from .machine import Costs, costs_of
 from .paths import Path
 from .plane import Rectangle, points_at
 from .reference import Sample, reference_sum
+from .runs import Extent
 from .sources import SourceBox
 
 METHODS = ("auto", "direct", "fast")

@@ -18,8 +18,8 @@ def on_all_cores(work: Callable, items: Iterable) -> list:
     Products of matrices inside run on one thread each.
     """
     items = list(items)
-    helpers = min(cpu_count() or 1, len(items)) - 1
-    if helpers < 1:
+    others = min(cpu_count() or 1, len(items)) - 1
+    if others < 1:
         return [work(item) for item in items]
     results: list = [None] * len(items)
     waiting = deque(enumerate(items))
@@ -37,11 +37,11 @@ def on_all_cores(work: Callable, items: Iterable) -> list:
                 raise
 
     with products_on_one_thread():
-        futures = [_helpers().submit(take) for _ in range(helpers)]
+        futures = [_threads().submit(take) for _ in range(others)]
         try:
             take()
         finally:
-            # Helpers that have not begun, as all are busy elsewhere, have nothing left to do.
+            # Threads that have not begun, as all are busy elsewhere, have nothing left to do.
             begun = [future for future in futures if not future.cancel()]
             for future in begun:
                 future.exception()
@@ -60,7 +60,7 @@ def products_on_one_thread() -> AbstractContextManager:
 
 
 @lru_cache(maxsize=1)
-def _helpers() -> ThreadPoolExecutor:
+def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(max(1, (cpu_count() or 1) - 1))
 
 

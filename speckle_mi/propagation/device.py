@@ -1,8 +1,6 @@
-"""The Dr.Jit pieces that the kernels share: backend, phasors of reduced phase, a cheap float64 root."""
+"""The Dr.Jit pieces that the kernels share: phasors of reduced phase, a cheap float64 root, complex products."""
 
 from __future__ import annotations
-
-from types import ModuleType
 
 import drjit as dr
 
@@ -25,15 +23,6 @@ def active_variant() -> str:
     import mitsuba
 
     return mitsuba.variant() or ""
-
-
-def backend() -> ModuleType:
-    """The Dr.Jit backend of the active Mitsuba variant: ``drjit.cuda`` for CUDA variants, else ``drjit.llvm``."""
-    if active_variant().startswith("cuda"):
-        import drjit.cuda as module
-    else:
-        import drjit.llvm as module
-    return module
 
 
 def sine_cosine(y, sine_powers: tuple, cosine_powers: tuple):

@@ -25,7 +25,7 @@ _UNIFORM = {"beam_radius": np.inf, "wavefront_radius": np.inf}
 
 
 def _of_a_point(bench: Bench, point=(0.0, 0.0, 0.0)):
-    """Frame and assembly of a single scatterer under uniform light, and the field over the scatterer's amplitude."""
+    """Assembly and frame of a single scatterer under uniform light, and the field over the scatterer's amplitude."""
     from ..simulate import simulate_frame
 
     with point_scatterers([point]) as path:

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 
+from ..assembly import BYTES_PER_PIXEL
 from ..geometry import Frame, rotation_matrix
 from .case import Case, compared, same_field, within
 from .scenes import Bench, against_exact_sum, aperture, lens
@@ -15,8 +16,6 @@ TOLERANCE = 1e-4
 """The integrator's default, which every field must keep."""
 
 LARGEST_SIDE = 8192
-MEMORY_PER_PIXEL = 40.0
-"""Bytes a pixel that a frame may take at its peak: the field (16), its intensity (4), one working copy, and tiles."""
 
 
 def wavelengths(quick: bool):
@@ -63,7 +62,7 @@ def detector_of_67_million_pixels(quick: bool):
         "detector", f"field on {name}", *against_exact_sum(bench.with_(target={"point_sources": 20})), TOLERANCE
     )
     taken = max(_peak_memory() - before, 0.0) / LARGEST_SIDE**2
-    yield within("detector", f"peak memory of {name} [bytes a pixel]", taken, MEMORY_PER_PIXEL, taken, MEMORY_PER_PIXEL)
+    yield within("detector", f"peak memory of {name} [bytes a pixel]", taken, BYTES_PER_PIXEL, taken, BYTES_PER_PIXEL)
 
 
 def _peak_memory() -> float:
