@@ -6,8 +6,10 @@ import json
 import math
 import os
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +19,52 @@ from . import interrupt
 MAX_POINTS = 20_000_000
 
 
-def require_output(path: str | os.PathLike) -> None:
-    """Raises OSError when no file can be written at ``path``: before anything is computed for it."""
+def require_output(path: str | os.PathLike, suffix: str = "") -> None:
+    """Raises OSError when no file can be written at ``path``, ValueError when it ends other than in ``suffix``.
+
+    Called before anything is computed for it.
+    """
+    _require_place(path)
+    if not str(path).lower().endswith(suffix):
+        raise ValueError(f"{path}: must be the name of a {suffix} file")
+    _require_writable(Path(os.path.realpath(path)).parent)
+
+
+def require_distinct(**paths: str | None) -> None:
+    """Raises ValueError where two of the files that a command reads or writes, by what they are to it, are one."""
+    given = [(what, path) for what, path in paths.items() if path]
+    for (first, one), (second, other) in combinations(given, 2):
+        if os.path.realpath(one) == os.path.realpath(other):
+            raise ValueError(f"{one}: is given as {first} and as {second}, must be two files")
+
+
+def require_folder(path: str | os.PathLike) -> Path:
+    """The folder for results, still to be made or there; OSError, ValueError where it cannot be or be written to."""
+    if not os.fspath(path):
+        raise ValueError("--out '': must be the name of a folder")
+    folder = Path(path)
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
+    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(f"{folder}: lies below {str(there)!r}, which is no folder")
+    _require_writable(there)
+    return folder
+
+
+def _require_writable(folder: Path) -> None:
+    """Raises OSError where no file can be made in ``folder``: only a try tells."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(f"{folder}: no file can be written there ({(error.strerror or str(error)).lower()})") from error
+
+
+def _require_place(path: str | os.PathLike) -> None:
+    """Raises OSError, ValueError where ``path`` cannot be the name of a file."""
+    if not os.fspath(path):
+        raise ValueError("'': must be the name of a file")
     path = Path(path)
     folder = path.parent
     if not folder.is_dir():
@@ -48,7 +94,7 @@ def identity_in(path: str | os.PathLike) -> object:
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends well, and vanishes otherwise."""
-    require_output(path)
+    _require_place(path)
     path = Path(os.path.realpath(path))  # a link stays, and what it points to is replaced
     # The user's mask applies, as to any other file: results may be read by whom the user lets.
     temporary = path.parent / f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}"

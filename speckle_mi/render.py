@@ -13,18 +13,21 @@ import numpy as np
 
 from .cli import add_force, command, load_scene, say, scene_parser
 from .exr import read_header, write_field
-from .files import refuse_other_settings, replacing, require_output
+from .files import refuse_other_settings, replacing, require_distinct, require_output
 from .geometry import Pose
 from .memory import excess
 
 BYTES_PER_LAYER = 24
 """Memory of a pixel of one scatterer's field while it is being written: complex128 and its two float32 channels."""
 
+MAX_LAYERS = 1_000_000
+"""Most fields of single scatterers in a file."""
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = scene_parser("render", "Renders one field image of a scene.")
     parser.add_argument("-o", "--output", required=True, metavar="F.exr", help="EXR file to write")
-    parser.add_argument("--pose", default="", metavar="x=0.02,ry=0.01", help="displacement of the target (mm, deg)")
+    parser.add_argument("--pose", metavar="x=0.02,ry=0.01", help="displacement of the target (mm, deg)")
     parser.add_argument("--sources", metavar="F.npz", help="also write what the sum was made of")
     parser.add_argument(
         "--per-source", type=int, default=0, metavar="K", help="also write the fields of the first K scatterers, as layers"
@@ -32,12 +35,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--spp", type=int, default=0, help="sub-pixels a pixel that the intensity is averaged over")
     add_force(parser)
     options = parser.parse_args(arguments)
-    pose = Pose.parse(options.pose)
+    pose = None if options.pose is None else _pose(options.pose)
     for flag, value in (("--per-source", options.per_source), ("--spp", options.spp)):
         if value < 0:
             raise ValueError(f"{flag} {value}: must not be negative")
-    for path in filter(None, (options.output, options.sources)):
-        require_output(path)
+    if options.per_source > MAX_LAYERS:
+        raise ValueError(f"--per-source {options.per_source}: must be at most {MAX_LAYERS}, the layers that a file may have")
+    require_output(options.output, ".exr")
+    if options.sources is not None:
+        require_output(options.sources, ".npz")
+    require_distinct(SCENE=options.scene, output=options.output, sources=options.sources)
 
     scene = load_scene(options.scene, options.defaults, options.variant)
     from .assembly import assembly_from_scene
@@ -47,19 +54,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = {
         "scene_hash": assembly.fingerprint(),
         "seed": assembly.seed,
-        "pose": str(pose if options.pose else assembly.pose),
+        "pose": str(pose or assembly.pose),
         "per_source": options.per_source,
     }
     refuse_other_settings(options.output, settings_of_image(options.output, settings), settings, options.force)
     if options.sources:
         refuse_other_settings(options.sources, settings_of_sources(options.sources), settings, options.force)
     start = time.perf_counter()
-    frame = simulate_frame(assembly, pose if options.pose else None)
+    frame = simulate_frame(assembly, pose)
     seconds = time.perf_counter() - start
     layer_bytes = min(options.per_source, frame.scatterers.count) * assembly.detector.size * BYTES_PER_LAYER
     if too_much := excess(layer_bytes):
         raise ValueError(f"--per-source {options.per_source}: the layers {too_much}")
-    layers = source_layers(assembly, frame.scatterers, pose if options.pose else None, options.per_source)
+    layers = source_layers(assembly, frame.scatterers, pose, options.per_source)
     image = replace(frame.image, header=frame.image.header | settings)
     write_field(options.output, image, layers)
     if options.sources:
@@ -71,6 +78,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows, columns = assembly.detector.shape
     say(options, f"{options.output}: {columns} x {rows} pixels, {frame.scatterers.count} scatterers, {seconds:.3g} s, "
                  f"numerical error {frame.numerical_error:.1e}")
+
+
+def _pose(text: str) -> Pose:
+    """The displacement that ``--pose`` gives, which must name one."""
+    if not text.strip():
+        raise ValueError(f"--pose {text!r}: must name a displacement, for example x=0.02,ry=0.01")
+    return Pose.parse(text)
 
 
 def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[str, np.ndarray]:
