@@ -20,6 +20,7 @@ import numpy as np
 
 from .cli import add_force, command, load_scene, say, scene_parser
 from .files import identity_in, refuse_other_settings, require_folder
+from .progress import progress_bars
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
 MAX_POINT_SOURCES = 10**15
@@ -55,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name in ("converge.json", "converge.csv"):
         refuse_other_settings(folder / name, identity_in(folder / "converge.json"), identity, options.force)
     study = Study(assembly, Path(options.scene).stem, settings, Allowance(settings["seconds"]))
-    with _progress(options.quiet) as progress:
+    with progress_bars(options.quiet, predicts=False) as progress:
         rows = study.every_method(progress)
         scatter = study.scatter_over_surfaces(progress)
     folder.mkdir(parents=True, exist_ok=True)
@@ -106,14 +107,6 @@ def _settings(options) -> dict:
             )
         settings["point_sources"] = tuple(map(int, values))
     return settings
-
-
-def _progress(quiet: bool):
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description:<8}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), disable=quiet, transient=True)
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from .exr import read_header, write_field
 from .files import refuse_other_settings, replacing, require_distinct, require_output
 from .geometry import Pose
 from .memory import excess
+from .progress import progress_bars, tell
 
 BYTES_PER_LAYER = 24
 """Memory of a pixel of one scatterer's field while it is being written: complex128 and its two float32 channels."""
@@ -60,13 +61,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     refuse_other_settings(options.output, settings_of_image(options.output, settings), settings, options.force)
     if options.sources:
         refuse_other_settings(options.sources, settings_of_sources(options.sources), settings, options.force)
-    start = time.perf_counter()
-    frame = simulate_frame(assembly, pose)
-    seconds = time.perf_counter() - start
-    layer_bytes = min(options.per_source, frame.scatterers.count) * assembly.detector.size * BYTES_PER_LAYER
-    if too_much := excess(layer_bytes):
-        raise ValueError(f"--per-source {options.per_source}: the layers {too_much}")
-    layers = source_layers(assembly, frame.scatterers, pose, options.per_source)
+    with progress_bars(options.quiet):
+        start = time.perf_counter()
+        frame = simulate_frame(assembly, pose)
+        seconds = time.perf_counter() - start
+        layers = source_layers(assembly, frame.scatterers, pose, options.per_source)
     image = replace(frame.image, header=frame.image.header | settings)
     write_field(options.output, image, layers)
     if options.sources:
@@ -88,15 +87,21 @@ def _pose(text: str) -> Pose:
 
 
 def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[str, np.ndarray]:
-    """Complex fields (rows, columns) of the first ``count`` scatterers alone, by the names of their layers."""
+    """Complex fields (rows, columns) of the first ``count`` scatterers alone, by the names of their layers.
+
+    Raises ValueError where they take more memory than the machine has.
+    """
     from .simulate import field_of
 
-    count = min(count, scatterers.count)
+    asked, count = count, min(count, scatterers.count)
+    if too_much := excess(count * assembly.detector.size * BYTES_PER_LAYER):
+        raise ValueError(f"--per-source {asked}: the layers {too_much}")
     digits = max(3, len(str(count)))
-    return {
-        f"source{number:0{digits}d}": field_of(assembly, scatterers.selected(np.array([number])), pose)
-        for number in range(count)
-    }
+    layers = {}
+    for number in range(count):
+        layers[f"source{number:0{digits}d}"] = field_of(assembly, scatterers.selected(np.array([number])), pose)
+        tell("layers", number + 1, count)
+    return layers
 
 
 def settings_of_image(path: str | os.PathLike, wanted: Iterable[str]) -> dict | None:

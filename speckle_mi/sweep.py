@@ -21,6 +21,7 @@ from .exr import FieldImage, FieldImageError, read_field, write_field
 from .files import refuse_other_settings, require_folder, write_json
 from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
 from .interrupt import keeping
+from .progress import progress_bars
 from .statistics import centre_of_gravity, contrast
 
 _PENDING_WRITES = 8
@@ -228,7 +229,7 @@ def run_sweep(
 
     resume: takes the images that an interrupted sweep of the same settings has left; their records have no time.
     """
-    with ThreadPoolExecutor(max_workers=1) as writer, _progress(quiet) as progress:
+    with ThreadPoolExecutor(max_workers=1) as writer, progress_bars(quiet) as progress:
         task = progress.add_task("frames", total=frame_count(settings))
         writes = result.writes
 
@@ -324,16 +325,6 @@ def _record(
         contrast=contrast(intensity),
         seconds=time.perf_counter() - start,
         status=shift.status,
-    )
-
-
-def _progress(quiet: bool):
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True), disable=quiet, transient=True,
     )
 
 
