@@ -74,11 +74,11 @@ class Element:
 
 def elements_of(scene: mi.Scene, target: mi.Shape) -> list[Element]:
     """All shapes of the scene but the target. Raises SceneError for one that cannot be taken into account."""
-    if len(scene.shapes()) > 1:
-        for shape in scene.shapes():
-            _require_near(shape)
     # Mitsuba loads shapes in parallel: their order in the scene is not that of the file, nor always the same.
-    return sorted((_element(shape, target) for shape in scene.shapes() if shape is not target), key=lambda e: e.name)
+    found = sorted((_element(shape, target) for shape in scene.shapes() if shape is not target), key=lambda e: e.name)
+    for shape in scene.shapes() if found else ():
+        _require_near(shape)
+    return found
 
 
 def _element(shape: mi.Shape, target: mi.Shape) -> Element:

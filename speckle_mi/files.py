@@ -15,8 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from . import interrupt
+from .geometry import FARTHEST
 
 MAX_POINTS = 20_000_000
+LARGEST_WEIGHT = 1e12
+"""Of a scatterer: images are single precision, and hold the square of a sum of them."""
 
 
 def require_output(path: str | os.PathLike, suffix: str = "") -> None:
@@ -162,7 +165,7 @@ def mesh_from_file(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     try:
         mesh = mi.load_dict({"type": kind, "filename": str(path), "face_normals": True})
     except RuntimeError as error:
-        raise SceneError(f"{where}: cannot read {path.name!r}: {_last_line(error)}") from None
+        raise SceneError(f"{where}: cannot read {path.name!r}: {_reason(error)}") from None
     vertices = np.array(mesh.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
     faces = np.array(mesh.faces_buffer(), dtype=np.int64).reshape(-1, 3)
     if len(faces) == 0 or not np.all(np.isfinite(vertices)):
@@ -170,6 +173,10 @@ def mesh_from_file(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
         raise SceneError(f"{where}: {path.name!r} has a face with vertex {wrong}, must be one of 0 to {len(vertices) - 1}")
+    if np.max(np.abs(vertices)) > FARTHEST:
+        raise SceneError(
+            f"{where}: {path.name!r} has a vertex at {np.max(np.abs(vertices)):g} mm, must stay within {FARTHEST:g} mm"
+        )
     return vertices, faces
 
 
@@ -201,6 +208,9 @@ def points_from_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
             raise SceneError(f"{where}: {path.name!r} line {number} has {len(values)} columns, must have 3 or 5 throughout")
         if not np.all(np.isfinite(values)):
             raise SceneError(f"{where}: {path.name!r} line {number} is {line!r}, must hold finite numbers")
+        if max(map(abs, values[:3])) > FARTHEST or max(map(abs, values[3:]), default=0.0) > LARGEST_WEIGHT:
+            limits = f"x, y, z up to {FARTHEST:g} mm and re, im up to {LARGEST_WEIGHT:g} in size"
+            raise SceneError(f"{where}: {path.name!r} line {number} is {line!r}, must be {limits}")
         rows.append(values)
         if len(rows) > MAX_POINTS:
             raise SceneError(f"{where}: {path.name!r} holds more than {MAX_POINTS} scatterers")
@@ -211,5 +221,6 @@ def points_from_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(table[:, :3]), weights
 
 
-def _last_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[-1].strip()
+def _reason(error: Exception) -> str:
+    """What is wrong, without the places in Mitsuba that pass it on."""
+    return str(error).strip().splitlines()[-1].rpartition("] ")[2].strip()

@@ -33,7 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--per-source", type=int, default=0, metavar="K", help="also write the fields of the first K scatterers, as layers"
     )
-    parser.add_argument("--spp", type=int, default=0, help="sub-pixels a pixel that the intensity is averaged over")
+    spp_help = "sub-pixels a pixel that the intensity is averaged over (default: the scene's, else 1)"
+    parser.add_argument("--spp", type=int, default=0, help=spp_help)
     add_force(parser)
     options = parser.parse_args(arguments)
     pose = None if options.pose is None else _pose(options.pose)
@@ -41,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         if value < 0:
             raise ValueError(f"{flag} {value}: must not be negative")
     if options.per_source > MAX_LAYERS:
-        raise ValueError(f"--per-source {options.per_source}: must be at most {MAX_LAYERS}, the layers that a file may have")
+        raise ValueError(f"--per-source {options.per_source}: must be at most {MAX_LAYERS} (layers of a file)")
     require_output(options.output, ".exr")
     if options.sources is not None:
         require_output(options.sources, ".npz")

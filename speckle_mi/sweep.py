@@ -145,11 +145,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _parser():
     parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
-    parser.add_argument("--dof", default=",".join(DEGREES_OF_FREEDOM), metavar="x,y,z,rx,ry,rz", help="motions to sweep")
+    everything = ",".join(DEGREES_OF_FREEDOM)
+    parser.add_argument("--dof", default=everything, metavar=everything, help="motions to sweep (default: all six)")
     parser.add_argument("--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)")
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
     parser.add_argument("--seeds", type=int, default=8, help="number of surfaces (default: %(default)s)")
-    parser.add_argument("--window", type=int, default=None, help="side of the correlation window, px (default: 256; the paper's: 64)")
+    window_help = "side of the correlation window, px (default: 256, less on a small detector; the paper's: 64)"
+    parser.add_argument("--window", type=int, default=None, help=window_help)
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
     add_force(parser)
     return parser
@@ -163,7 +165,8 @@ def _settings(options) -> SweepSettings:
     if len(set(dofs)) != len(dofs):
         raise ValueError(f"--dof {options.dof!r}: must name each motion once")
     if not SMALLEST_RANGE <= options.range < np.inf:
-        raise ValueError(f"--range {options.range:g}: must be a finite number of at least {SMALLEST_RANGE:g} (mm or deg)")
+        least = f"{SMALLEST_RANGE:g} (mm or deg)"
+        raise ValueError(f"--range {options.range:g}: must be a finite number of at least {least}")
     if options.steps < 2:
         raise ValueError(f"--steps {options.steps}: must be at least 2")
     if options.seeds < 1:
