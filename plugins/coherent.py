@@ -21,7 +21,7 @@ Coherent integrator (:monosp:`coherent`)
    -
  * - rays_per_source
    - |integer|
-   - Rays of each scatterer, for ``rays`` only. (Default: 1500)
+   - Rays of each scatterer, for ``rays`` only, 16 to 1000000. (Default: 1500)
    -
 
 Adds up the complex field exp(+i k L) of every scatterer of the ``rough_target`` under the ``laser`` on the pixels of
@@ -48,6 +48,7 @@ import numpy as np
 from speckle_mi import llvm
 from speckle_mi.assembly import Options, assembly_from_scene
 from speckle_mi.parameters import describe, read_boolean, read_choice, read_integer, read_number
+from speckle_mi.ray_method import FEWEST_RAYS
 from speckle_mi.simulate import simulate
 
 _METHODS = ("auto", "direct", "fast", "rays")
@@ -62,7 +63,9 @@ class Coherent(mi.SamplingIntegrator):
             method=read_choice(props, "method", Options.method, _METHODS),
             tolerance=read_number(props, "tolerance", Options.tolerance, at_least=1e-8, at_most=1e-1),
             diffraction=read_boolean(props, "diffraction", Options.diffraction),
-            rays_per_source=read_integer(props, "rays_per_source", Options.rays_per_source, at_least=4, at_most=10**6),
+            rays_per_source=read_integer(
+                props, "rays_per_source", Options.rays_per_source, at_least=FEWEST_RAYS, at_most=10**6
+            ),
         )
         super().__init__(props)
 

@@ -60,6 +60,9 @@ _LIMITS = {
     "wavefront_radius": {"infinite": True, "unit": "mm"},
 }
 
+_SHORTEST, _LONGEST = 1e-9, 1e12
+"""Size of a wavefront radius [mm] that double precision can square and take from a path."""
+
 
 class Laser(mi.Emitter):
     def __init__(self, props: mi.Properties) -> None:
@@ -87,8 +90,12 @@ class Laser(mi.Emitter):
     def _check(self) -> None:
         for name, limits in _LIMITS.items():
             check_number(self.where, name, value_of(getattr(self, name)), **limits)
-        if value_of(self.wavefront_radius) == 0:
-            raise SceneError(f"{self.where}: parameter 'wavefront_radius' is 0 mm, must not be 0 (inf: collimated)")
+        radius = abs(value_of(self.wavefront_radius))
+        if not (_SHORTEST <= radius <= _LONGEST or np.isinf(radius)):
+            raise SceneError(
+                f"{self.where}: parameter 'wavefront_radius' is {value_of(self.wavefront_radius):g} mm, must not be 0 "
+                f"but {_SHORTEST:g} to {_LONGEST:g} mm in size, or inf (collimated)"
+            )
 
     # What other integrators see: a collimated beam whose irradiance is that of one unit of power.
 

@@ -19,7 +19,11 @@ def set_variant(name: str = DEFAULT_VARIANT) -> None:
 
         llvm.require_usable()
     if mi.variant() != name:
-        mi.set_variant(name)
+        try:
+            mi.set_variant(name)
+        except ImportError:
+            there = ", ".join(variant for variant in usable if not variant.startswith("cuda"))
+            raise ValueError(f"variant {name!r}: finds no GPU with a driver here, must be one of {there}") from None
 
 
 def is_usable(variant: str) -> bool:

@@ -39,8 +39,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
     options = made.parse_args(arguments)
     identity = {"quick": options.quick, "variant": options.variant}
-    if options.out:
-        require_output(options.out)
+    if options.out is not None:
+        require_output(options.out, ".json")
         refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
     bench = Bench(_assembly(options), QUICK_PEER_SECONDS if options.quick else PEER_SECONDS, options.quick)
     counts = QUICK_SCATTERERS if options.quick else SCATTERERS

@@ -9,6 +9,8 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NoReturn
 
 from . import interrupt
 
@@ -46,9 +48,52 @@ def command(main: Callable[[Sequence[str] | None], int | None], arguments: Seque
             interrupt.ignore()
 
 
+class _Once(argparse.Action):
+    """Stores a flag's value; refuses a second one, which would silently take the place of the first."""
+
+    is_given = False
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        if self.is_given:
+            raise argparse.ArgumentError(self, "is given twice, must be given once")
+        self.is_given = True
+        setattr(namespace, self.dest, values)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are ValueErrors of one line, as those of everything after it."""
+
+    def __init__(self, *arguments, **named) -> None:
+        super().__init__(*arguments, **named)
+        for name in (None, "store"):
+            self.register("action", name, _Once)
+        self.register("type", int, _whole_number)
+        self.register("type", float, _number)
+
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(f"{message.removeprefix('argument ')} (see --help)")
+
+
+def _whole_number(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number") from None
+
+
 def parser(name: str, description: str) -> argparse.ArgumentParser:
-    """Parser for ``python -m speckle_mi.<name>`` with the flags that every command knows."""
-    made = argparse.ArgumentParser(prog=f"python -m speckle_mi.{name}", description=description, allow_abbrev=False)
+    """Parser for ``python -m speckle_mi.<name>`` with the flags that every command knows.
+
+    Its ``parse_args`` raises ValueError.
+    """
+    made = _Parser(prog=f"python -m speckle_mi.{name}", description=description, allow_abbrev=False)
     made.add_argument("--quiet", action="store_true", help="print errors only")
     made.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return made
@@ -62,7 +107,7 @@ def scene_parser(name: str, description: str) -> argparse.ArgumentParser:
     made.add_argument("scene", metavar="SCENE", help="Mitsuba XML scene file")
     made.add_argument(
         "-D", dest="defaults", metavar="NAME=VALUE", action="append", default=[],
-        help="value of a <default> of the scene (may be repeated)",
+        help="value of a <default> of the scene (may be repeated; of one name the last counts)",
     )
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
     return made
@@ -80,16 +125,20 @@ def load_scene(path: str, defaults: Sequence[str], variant: str):
     from .backend import set_variant
 
     if not os.path.isfile(path):
-        raise FileNotFoundError(f"{path}: there is no such scene file")
+        what = "is not a file" if os.path.exists(path) else "there is no such file"
+        raise FileNotFoundError(f"{path or repr(path)}: {what}, must be a Mitsuba XML scene")
     set_variant(variant)
     values = {}
     for text in defaults:
         name, separator, value = text.partition("=")
-        if not separator or not name:
+        if not separator or not name or not value:
             raise ValueError(f"-D {text!r}: must be name=value")
         values[name] = value
-    with open(path, encoding="utf-8", errors="replace") as file:
-        known = set(re.findall(r"<default\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']", file.read()))
+    try:
+        text = Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, path) from error
+    known = set(re.findall(r"<default\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']", text))
     for name in values:
         if name not in known:
             raise ValueError(f"-D {name}: the scene has no such <default>, must be one of {', '.join(sorted(known)) or '(none)'}")

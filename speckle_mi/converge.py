@@ -19,9 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from .cli import add_force, command, load_scene, say, scene_parser
-from .files import identity_in, refuse_other_settings
+from .files import identity_in, refuse_other_settings, require_folder
+from .progress import progress_bars
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
+MAX_POINT_SOURCES = 10**15
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 RAYS = (16, 36, 64, 100, 400, 1500, 3000)
 """N2; 1500 is the paper's."""
@@ -40,9 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     settings = _settings(options)
-    folder = Path(options.out)
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
+    folder = require_folder(options.out)
     scene = load_scene(options.scene, options.defaults, options.variant)
     # Not before the arguments are known to be good: these bring Mitsuba and matplotlib with them.
     from .assembly import assembly_from_scene
@@ -55,11 +55,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     identity = json.loads(json.dumps({"scene_hash": assembly.fingerprint(), "seed": assembly.seed} | settings))
     for name in ("converge.json", "converge.csv"):
         refuse_other_settings(folder / name, identity_in(folder / "converge.json"), identity, options.force)
-    folder.mkdir(parents=True, exist_ok=True)
     study = Study(assembly, Path(options.scene).stem, settings, Allowance(settings["seconds"]))
-    with _progress(options.quiet) as progress:
+    with progress_bars(options.quiet, predicts=False) as progress:
         rows = study.every_method(progress)
         scatter = study.scatter_over_surfaces(progress)
+    folder.mkdir(parents=True, exist_ok=True)
     write_rows(folder / "converge.csv", rows)
     plot_convergence(folder / "converge.png", rows, study.name)
     plot_scatter(folder / "statistics.png", scatter, study.name)
@@ -93,27 +93,20 @@ def _settings(options) -> dict:
     settings = dict(QUICK if options.quick else FULL)
     if options.seconds is not None:
         if not (np.isfinite(options.seconds) and options.seconds > 0):
-            raise ValueError(f"--seconds {options.seconds}: must be above 0")
+            raise ValueError(f"--seconds {options.seconds:g}: must be a finite number above 0")
         settings["seconds"] = options.seconds
     if options.point_sources is not None:
         try:
-            values = tuple(sorted({int(float(text)) for text in options.point_sources.split(",")}))
-        except (ValueError, OverflowError):
+            values = sorted({float(text) for text in options.point_sources.split(",")})
+        except ValueError:
+            values = [np.nan]
+        if not all(1 <= value <= MAX_POINT_SOURCES and value == int(value) for value in values):
             raise ValueError(
-                f"--point-sources {options.point_sources!r}: must be numbers with commas between"
-            ) from None
-        if values[0] < 1:
-            raise ValueError(f"--point-sources {options.point_sources!r}: must be at least 1")
-        settings["point_sources"] = values
+                f"--point-sources {options.point_sources!r}: must be whole numbers with commas between, "
+                f"each 1 to {MAX_POINT_SOURCES:g}"
+            )
+        settings["point_sources"] = tuple(map(int, values))
     return settings
-
-
-def _progress(quiet: bool):
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (TextColumn("{task.description:<8}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=Console(stderr=True), disable=quiet, transient=True)
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
     python -m speckle_mi.correlate REF.exr MOVED.exr [--window 256]
 
-Shift, correlation, centres of gravity and statistics of any two field images as JSON; how a shift is measured, and when
-none is reported, says :mod:`speckle_mi.correlator`.
+Shift, correlation, centres of gravity and statistics of any two images as JSON, lengths in um where a header gives the
+pixel pitch; how a shift is measured, and when none is reported, says :mod:`speckle_mi.correlator`.
 """
 
 from __future__ import annotations
@@ -61,17 +61,18 @@ def _common_pitch(*headers: dict) -> float | None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Print the comparison of two field images as one JSON object."""
+    """Print the comparison of two images as one JSON object."""
     from .cli import parser
-    from .exr import read_field
+    from .images import read_image
 
-    arguments_of = parser("correlate", "Shift of the speckle pattern between two field images, as JSON on stdout.")
-    arguments_of.add_argument("reference", metavar="REF.exr", help="field image before the motion")
-    arguments_of.add_argument("moved", metavar="MOVED.exr", help="field image after the motion")
+    arguments_of = parser("correlate", "Shift of the speckle pattern between two images, as JSON on stdout.")
+    kinds = "a field image, or any EXR, PNG, TIFF or JPEG"
+    arguments_of.add_argument("reference", metavar="REF.exr", help=f"image before the motion: {kinds}")
+    arguments_of.add_argument("moved", metavar="MOVED.exr", help="image after the motion")
     window_help = "side of the correlation window (default: 256, less on a small detector)"
     arguments_of.add_argument("--window", type=int, metavar="PX", help=window_help)
     arguments = arguments_of.parse_args(argv)
-    reference, moved = read_field(arguments.reference), read_field(arguments.moved)
+    reference, moved = read_image(arguments.reference), read_image(arguments.moved)
     pitch = _common_pitch(reference.header, moved.header)
     result = compare(reference.intensity, moved.intensity, pitch, arguments.window)
     # JSON has no NaN.

@@ -16,6 +16,10 @@ _OPAQUE = ("SmoothDiffuse", "RoughConductor", "SmoothPlastic", "RoughPlastic", "
 """BSDFs that let no light through and do not reflect like a mirror."""
 
 
+FARTHEST_SHAPE = 3e4
+"""Largest coordinate [mm] of a shape that rays have to find; their places are single precision, 2 um there."""
+
+
 @dataclass(frozen=True)
 class Element:
     """A shape of the scene.
@@ -71,7 +75,10 @@ class Element:
 def elements_of(scene: mi.Scene, target: mi.Shape) -> list[Element]:
     """All shapes of the scene but the target. Raises SceneError for one that cannot be taken into account."""
     # Mitsuba loads shapes in parallel: their order in the scene is not that of the file, nor always the same.
-    return sorted((_element(shape, target) for shape in scene.shapes() if shape is not target), key=lambda e: e.name)
+    found = sorted((_element(shape, target) for shape in scene.shapes() if shape is not target), key=lambda e: e.name)
+    for shape in scene.shapes() if found else ():
+        _require_near(shape)
+    return found
 
 
 def _element(shape: mi.Shape, target: mi.Shape) -> Element:
@@ -98,6 +105,17 @@ def _element(shape: mi.Shape, target: mi.Shape) -> Element:
         "must be an aperture, a lens, a sphere or cube of dielectric, a rectangle, disk or sphere of conductor, "
         "or opaque (diffuse, plastic, roughconductor)"
     )
+
+
+def _require_near(shape: mi.Shape) -> None:
+    """SceneError where a shape ends so far out that rays in single precision would miss what lies close together."""
+    box = shape.bbox()
+    reach = float(np.max(np.abs([np.array(box.min), np.array(box.max)])))
+    if not reach <= FARTHEST_SHAPE:
+        raise SceneError(
+            f"{describe_shape(shape)}: reaches {reach:.4g} mm from the world's origin, must stay within "
+            f"{FARTHEST_SHAPE:g} mm: rays find their way in single precision, which is too coarse beyond"
+        )
 
 
 def _innermost(bsdf: mi.BSDF) -> mi.BSDF:

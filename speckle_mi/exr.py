@@ -18,6 +18,10 @@ from .files import replacing
 from .memory import excess
 
 _DETAILS = "speckle_mi"
+
+LUMINANCE = {"R": 0.2126, "G": 0.7152, "B": 0.0722}
+"""Weights of the colours in an image's intensity, for the primaries that OpenEXR assumes (Rec. 709)."""
+
 _LARGEST_INT = 2**31 - 1
 
 LARGEST_RATIO = 2000
@@ -67,8 +71,9 @@ def read_field(path: str | os.PathLike) -> FieldImage:
     """Reads a field image. Raises FieldImageError with one line that says what is wrong with the file."""
     path = Path(path)
     if not path.is_file():
-        raise FieldImageError(f"{path}: there is no such file")
-    if not OpenEXR.isOpenExrFile(str(path)):
+        what = "is not a file" if path.exists() else "there is no such file"
+        raise FieldImageError(f"{path}: {what}, must be an image")
+    if not is_exr(path):
         raise FieldImageError(f"{path}: not an OpenEXR file")
     with _library_muted():
         channels, attributes = _read(path)
@@ -80,16 +85,25 @@ def read_field(path: str | os.PathLike) -> FieldImage:
         intensity = channels["Y"].astype(np.float32)
     elif complex_field is not None:
         intensity = np.abs(complex_field) ** 2
+    elif {"R", "G", "B"} <= set(channels):
+        intensity = sum(weight * channels[name].astype(np.float32) for name, weight in LUMINANCE.items())
     else:
         names = ", ".join(sorted(channels)) or "none"
-        raise FieldImageError(f"{path}: has the channels {names}, must have Y (intensity) or E.re and E.im (field)")
+        raise FieldImageError(
+            f"{path}: has the channels {names}, must have Y (intensity), E.re and E.im (field) or R, G and B"
+        )
     return FieldImage(intensity, complex_field, _header(attributes))
+
+
+def is_exr(path: str | os.PathLike) -> bool:
+    """Whether a file begins as OpenEXR files do."""
+    return OpenEXR.isOpenExrFile(str(path))
 
 
 def read_header(path: str | os.PathLike) -> dict:
     """What the header of a field image says, without its pixels. Raises FieldImageError."""
     path = Path(path)
-    if not path.is_file() or not OpenEXR.isOpenExrFile(str(path)):
+    if not path.is_file() or not is_exr(path):
         raise FieldImageError(f"{path}: not an OpenEXR file")
     with _library_muted():
         try:

@@ -6,19 +6,68 @@ import json
 import math
 import os
 import secrets
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
 from . import interrupt
+from .geometry import FARTHEST
 
 MAX_POINTS = 20_000_000
+LARGEST_WEIGHT = 1e12
+"""Of a scatterer: images are single precision, and hold the square of a sum of them."""
 
 
-def require_output(path: str | os.PathLike) -> None:
-    """Raises OSError when no file can be written at ``path``: before anything is computed for it."""
+def require_output(path: str | os.PathLike, suffix: str = "") -> None:
+    """Raises OSError when no file can be written at ``path``, ValueError when it ends other than in ``suffix``.
+
+    Called before anything is computed for it.
+    """
+    _require_place(path)
+    if not str(path).lower().endswith(suffix):
+        raise ValueError(f"{path}: must be the name of a {suffix} file")
+    _require_writable(Path(os.path.realpath(path)).parent)
+
+
+def require_distinct(**paths: str | None) -> None:
+    """Raises ValueError where two of the files that a command reads or writes, by what they are to it, are one."""
+    given = [(what, path) for what, path in paths.items() if path]
+    for (first, one), (second, other) in combinations(given, 2):
+        if os.path.realpath(one) == os.path.realpath(other):
+            raise ValueError(f"{one}: is given as {first} and as {second}, must be two files")
+
+
+def require_folder(path: str | os.PathLike) -> Path:
+    """The folder for results, still to be made or there; OSError, ValueError where it cannot be or be written to."""
+    if not os.fspath(path):
+        raise ValueError("--out '': must be the name of a folder")
+    folder = Path(path)
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
+    there = next(parent for parent in (folder, *folder.absolute().parents) if parent.exists())
+    if not there.is_dir():
+        raise NotADirectoryError(f"{folder}: lies below {str(there)!r}, which is no folder")
+    _require_writable(there)
+    return folder
+
+
+def _require_writable(folder: Path) -> None:
+    """Raises OSError where no file can be made in ``folder``: only a try tells."""
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise OSError(f"{folder}: no file can be written there ({(error.strerror or str(error)).lower()})") from error
+
+
+def _require_place(path: str | os.PathLike) -> None:
+    """Raises OSError, ValueError where ``path`` cannot be the name of a file."""
+    if not os.fspath(path):
+        raise ValueError("'': must be the name of a file")
     path = Path(path)
     folder = path.parent
     if not folder.is_dir():
@@ -48,7 +97,7 @@ def identity_in(path: str | os.PathLike) -> object:
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its place when the block ends well, and vanishes otherwise."""
-    require_output(path)
+    _require_place(path)
     path = Path(os.path.realpath(path))  # a link stays, and what it points to is replaced
     # The user's mask applies, as to any other file: results may be read by whom the user lets.
     temporary = path.parent / f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}"
@@ -116,7 +165,7 @@ def mesh_from_file(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     try:
         mesh = mi.load_dict({"type": kind, "filename": str(path), "face_normals": True})
     except RuntimeError as error:
-        raise SceneError(f"{where}: cannot read {path.name!r}: {_last_line(error)}") from None
+        raise SceneError(f"{where}: cannot read {path.name!r}: {_reason(error)}") from None
     vertices = np.array(mesh.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
     faces = np.array(mesh.faces_buffer(), dtype=np.int64).reshape(-1, 3)
     if len(faces) == 0 or not np.all(np.isfinite(vertices)):
@@ -124,6 +173,10 @@ def mesh_from_file(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
         raise SceneError(f"{where}: {path.name!r} has a face with vertex {wrong}, must be one of 0 to {len(vertices) - 1}")
+    if np.max(np.abs(vertices)) > FARTHEST:
+        raise SceneError(
+            f"{where}: {path.name!r} has a vertex at {np.max(np.abs(vertices)):g} mm, must stay within {FARTHEST:g} mm"
+        )
     return vertices, faces
 
 
@@ -155,6 +208,9 @@ def points_from_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
             raise SceneError(f"{where}: {path.name!r} line {number} has {len(values)} columns, must have 3 or 5 throughout")
         if not np.all(np.isfinite(values)):
             raise SceneError(f"{where}: {path.name!r} line {number} is {line!r}, must hold finite numbers")
+        if max(map(abs, values[:3])) > FARTHEST or max(map(abs, values[3:]), default=0.0) > LARGEST_WEIGHT:
+            limits = f"x, y, z up to {FARTHEST:g} mm and re, im up to {LARGEST_WEIGHT:g} in size"
+            raise SceneError(f"{where}: {path.name!r} line {number} is {line!r}, must be {limits}")
         rows.append(values)
         if len(rows) > MAX_POINTS:
             raise SceneError(f"{where}: {path.name!r} holds more than {MAX_POINTS} scatterers")
@@ -165,5 +221,6 @@ def points_from_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(table[:, :3]), weights
 
 
-def _last_line(error: Exception) -> str:
-    return str(error).strip().splitlines()[-1].strip()
+def _reason(error: Exception) -> str:
+    """What is wrong, without the places in Mitsuba that pass it on."""
+    return str(error).strip().splitlines()[-1].rpartition("] ")[2].strip()

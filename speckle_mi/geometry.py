@@ -73,12 +73,12 @@ class Pose:
     def parse(cls, text: str) -> Pose:
         """Pose from ``"x=0.02,ry=0.01"`` (mm and degrees); an empty text is the rest pose."""
         values: dict[str, float] = {}
-        for item in filter(None, (part.strip() for part in text.split(","))):
+        for item in (part.strip() for part in (text.split(",") if text else ())):
             name, _, value = item.partition("=")
             name = name.strip()
             if name not in DEGREES_OF_FREEDOM:
                 raise ValueError(
-                    f"pose {item!r}: unknown degree of freedom {name!r}, must be one of {', '.join(DEGREES_OF_FREEDOM)}"
+                    f"pose {text!r}: unknown degree of freedom {name!r}, must be one of {', '.join(DEGREES_OF_FREEDOM)}"
                 )
             if name in values:
                 raise ValueError(f"pose {text!r}: {name} is given twice")

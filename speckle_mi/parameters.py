@@ -162,5 +162,5 @@ def integer_of(array) -> int:
 
 
 def describe_shape(shape: mi.Shape) -> str:
-    """How messages call a shape of the scene, for example ``Sphere 'ball'``."""
-    return f"{shape.class_name()} {shape.id()!r}"
+    """How messages call a shape of the scene, for example ``Sphere 'ball'``, or as :func:`describe` does."""
+    return getattr(shape, "where", None) or f"{shape.class_name()} {shape.id()!r}"

@@ -136,7 +136,9 @@ def plot_speckle(path: str | os.PathLike, intensity: np.ndarray, pitch_mm: float
     height, width = pitch_mm * np.array(intensity.shape)
     stretched = max(width / height, height / width) > LONGEST_ASPECT
     aspect = np.clip(height / width, 0.25, 1.6)
-    figure = new_figure(6.4, 1.0 + 4.9 * aspect)
+    tall = 4.9 * aspect
+    wide = 4.9 if stretched else min(4.9, max(tall * width / height, 1.2))
+    figure = new_figure(1.5 + wide, 1.0 + tall)
     axes = figure.add_subplot()
     relative, white = _relative_intensity(intensity)
     image = axes.imshow(
@@ -154,7 +156,7 @@ def plot_speckle(path: str | os.PathLike, intensity: np.ndarray, pitch_mm: float
     axes.set_ylabel("v (mm)")
     note = "sides not to scale" if stretched else ""
     axes.set_title("   ".join(filter(None, (title, note))), loc="left", fontsize=FONT)
-    bar = figure.colorbar(image, cax=axes.inset_axes((1.02, 0, 0.025, 1)))
+    bar = figure.colorbar(image, cax=axes.inset_axes((1 + 0.1 / wide, 0, 0.12 / wide, 1)))
     bar.set_label("intensity / mean")
     bar.ax.tick_params(labelsize=FONT - 1)
     write_picture(figure, path)

@@ -10,6 +10,7 @@ from scipy.linalg import eigh
 from scipy.ndimage import binary_dilation
 
 from speckle_mi.geometry import PlaneGrid
+from speckle_mi.memory import excess
 from speckle_mi.optics.surfaces import Sequence
 from speckle_mi.optics.trace import RayStatus
 from speckle_mi.ray_fan import PROBE_RAYS, LaunchCones, Rays, detector_box, find_window, lattice
@@ -101,6 +102,9 @@ class Fit:
         values = np.stack([rays.path[used] - middle, rays.amplitude[used], *rays.margins[:, used]], axis=1)
         count = place.shape[1]
         keep = _euclidean_degree(arrivals.lines, count)
+        # The basis and its orthonormal combinations; half as much again for the products on the way.
+        if too_much := excess(3 * 8 * count * np.count_nonzero(keep)):
+            raise ValueError(f"method 'rays': the {count} rays of one source {too_much}: take fewer rays_per_source")
         x, y = (chebvander(t, n - 1) for t, n in zip(_scaled(place.T, box).T, keep.shape, strict=True))
         basis = (x[:, :, None] * y[:, None, :])[:, keep]
         # By the small Gram matrix, refined once: far cheaper than QR. Where rays fill only part of the box the basis is

@@ -13,6 +13,7 @@ from .exr import FieldImage
 from .fields import ChannelField, channel_field, ray_channel
 from .geometry import Frame, Pose
 from .plan import Plan, make_plan
+from .progress import tell
 from .propagation.cores import products_on_one_thread
 from .surface import Scatterers, illuminated_points, illuminated_scatterers
 from .visibility import pixels_in_view, visible_scatterers
@@ -76,6 +77,10 @@ _PLANS_KEPT = 8
 
 _PIXELS_AT_ONCE = 1 << 13
 
+_UNLIT = (
+    "no light: the beam misses the target at this pose, or no scatterer lies under it (see point_sources), the field is zero"
+)
+
 
 def _illuminated(assembly: Assembly, frame: Frame) -> Scatterers:
     target = assembly.target
@@ -85,13 +90,13 @@ def _illuminated(assembly: Assembly, frame: Frame) -> Scatterers:
 
 
 def _visible(assembly: Assembly, frame: Frame, lit: Scatterers, plan: Plan, warnings: list[str]) -> Scatterers:
-    if lit.count == 0:
-        warnings.append("no light: the beam misses the target at this pose, the field is zero")
-        return lit
+    if not np.any(lit.amplitude):
+        warnings.append(_UNLIT)
+        return lit.selected(np.zeros(0, dtype=np.int64))
     viewpoints = [channel.viewpoint for channel in plan.channels] or [assembly.detector.centre]
     seen, note = visible_scatterers(assembly, frame, lit, viewpoints)
-    if note:
-        warnings.append(note)
+    if note or not np.any(seen.amplitude):
+        warnings.append(note or _UNLIT)
     return seen
 
 
@@ -112,6 +117,7 @@ def _detect(
             values, _, sub_error = _field(assembly, frame, scatterers, plan, (offset_u, offset_v))
             total += _intensity(values)
             error = max(error, sub_error)
+        tell("rows of sub-pixels", 1 + round(side * offset_v + (side - 1) / 2), side)
     lines = [*lines, f"pixels: intensity averaged over {side} x {side} sub-pixels"]
     return centre, (total / side**2).astype(np.float32), lines, error
 

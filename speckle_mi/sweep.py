@@ -18,13 +18,17 @@ from . import __version__
 from .cli import add_force, command, load_scene, say, scene_parser
 from .correlator import Correlator
 from .exr import FieldImage, FieldImageError, read_field, write_field
-from .files import refuse_other_settings, write_json
+from .files import refuse_other_settings, require_folder, write_json
 from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
 from .interrupt import keeping
+from .progress import progress_bars
 from .statistics import centre_of_gravity, contrast
 
 _PENDING_WRITES = 8
 """Frames that may wait to be written: bounds the memory they take."""
+
+SMALLEST_RANGE = 1e-9
+"""Least range of a sweep [mm or deg]: places hold fewer digits than a smaller one needs."""
 
 MAX_FRAMES = 1_000_000
 """Most frames of a sweep."""
@@ -104,6 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     settings = _settings(options)
+    folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
     scene = load_scene(options.scene, options.defaults, options.variant)
     from . import report
     from .assembly import assembly_from_scene
@@ -113,7 +118,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     largest = max(assembly.detector.shape)
     if settings.window is not None and settings.window > largest:
         raise ValueError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
-    folder = Path(options.out or Path("results") / Path(options.scene).stem)
     identity = _identity(assembly, settings)
     _claim(folder, identity, options.force)
     result = SweepResult()
@@ -141,31 +145,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _parser():
     parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
-    parser.add_argument(
-        "--dof", default=",".join(DEGREES_OF_FREEDOM), metavar="x,y,z,rx,ry,rz", help="motions to sweep"
-    )
+    everything = ",".join(DEGREES_OF_FREEDOM)
+    parser.add_argument("--dof", default=everything, metavar=everything, help="motions to sweep (default: all six)")
     parser.add_argument(
         "--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)"
     )
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
     parser.add_argument("--seeds", type=int, default=8, help="number of surfaces (default: %(default)s)")
-    parser.add_argument(
-        "--window", type=int, default=None, help="side of the correlation window, px (default: 256; the paper's: 64)"
-    )
+    window_help = "side of the correlation window, px (default: 256, less on a small detector; the paper's: 64)"
+    parser.add_argument("--window", type=int, default=None, help=window_help)
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
     add_force(parser)
     return parser
 
 
 def _settings(options) -> SweepSettings:
-    dofs = tuple(name.strip() for name in options.dof.split(",") if name.strip())
+    dofs = tuple(name.strip() for name in options.dof.split(","))
     for name in dofs:
         if name not in DEGREES_OF_FREEDOM:
             raise ValueError(f"--dof {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
-    if not dofs or len(set(dofs)) != len(dofs):
-        raise ValueError(f"--dof {options.dof!r}: must name at least one motion, each once")
-    if not (np.isfinite(options.range) and options.range > 0):
-        raise ValueError(f"--range {options.range}: must be above 0 (mm or deg)")
+    if len(set(dofs)) != len(dofs):
+        raise ValueError(f"--dof {options.dof!r}: must name each motion once")
+    if not SMALLEST_RANGE <= options.range < np.inf:
+        least = f"{SMALLEST_RANGE:g} (mm or deg)"
+        raise ValueError(f"--range {options.range:g}: must be a finite number of at least {least}")
     if options.steps < 2:
         raise ValueError(f"--steps {options.steps}: must be at least 2")
     if options.seeds < 1:
@@ -179,7 +182,10 @@ def _settings(options) -> SweepSettings:
             f"must be at most {MAX_FRAMES:.0e}"
         )
     for dof in dofs:
-        Pose(**{dof: options.range / 2})  # says so when that is out of the world
+        try:
+            Pose(**{dof: options.range / 2})
+        except ValueError as error:
+            raise ValueError(f"--range {options.range:g}: {error}") from None
     displacements = np.linspace(-options.range / 2, options.range / 2, options.steps)
     return SweepSettings(dofs, displacements, (), options.window)
 
@@ -202,8 +208,6 @@ def _identity(assembly, settings: SweepSettings) -> dict:
 def _claim(folder: Path, identity: dict, force: bool) -> None:
     """Makes the folder ready; ValueError when it holds results of other settings and ``force`` is not given."""
     settings_file = folder / "settings.json"
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
     if settings_file.is_file():
         try:
             held = json.loads(settings_file.read_text(encoding="utf-8"))
@@ -240,7 +244,7 @@ def run_sweep(
 
     resume: takes the images that an interrupted sweep of the same settings has left; their records have no time.
     """
-    with ThreadPoolExecutor(max_workers=1) as writer, _progress(quiet) as progress:
+    with ThreadPoolExecutor(max_workers=1) as writer, progress_bars(quiet) as progress:
         task = progress.add_task("frames", total=frame_count(settings))
         writes = result.writes
 
@@ -336,16 +340,6 @@ def _record(
         contrast=contrast(intensity),
         seconds=time.perf_counter() - start,
         status=shift.status,
-    )
-
-
-def _progress(quiet: bool):
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-        console=Console(stderr=True), disable=quiet, transient=True,
     )
 
 

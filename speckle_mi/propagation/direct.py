@@ -23,6 +23,7 @@ import numpy as np
 
 from ..backend import arrays
 from ..geometry import PlaneGrid, PlanePoints
+from ..progress import tell
 from .device import COSINE, SINE, WRITE, inverse_root, multiply, phasor, sine_cosine
 from .paths import FreeSpace, RayleighSommerfeld
 from .runs import Extent, choose_run
@@ -261,6 +262,7 @@ def direct_sum(
             b, a = np.meshgrid(target.rows[row : row + rows_at_once], target.columns, indexing="ij")
             part = _points_field(ad, device, a.ravel() / wavelength, b.ravel() / wavelength, factor)
             field[row : row + rows_at_once] = part.reshape(b.shape)
+            tell("pairs", row + rows_at_once, target.shape[0])
         return field
     return _grid_field(ad, device, target, target.pitch / wavelength, run, factor)
 
@@ -326,6 +328,7 @@ def _grid_field(
             value = ad.Array2f64(sums[2 * i] * scale, sums[2 * i + 1] * scale)
             dr.scatter(out, value, base + i, column + i < column_count, mode=WRITE)
         field[first_row : first_row + count] = _host(out).reshape(slices, count, columns).sum(axis=0)
+        tell("pairs", first_row + count, rows)
     return field
 
 

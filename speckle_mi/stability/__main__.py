@@ -10,7 +10,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 from ..cli import add_force, command, parser, say
-from ..files import identity_in, refuse_other_settings, replacing, write_json
+from ..files import identity_in, refuse_other_settings, replacing, require_folder, write_json
 from ..interrupt import keeping
 from .case import BROKEN, LIMIT, OK, Check, checks_of
 
@@ -28,8 +28,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add_force(options_of)
     options = options_of.parse_args(arguments)
     identity = {"catalogue": "quick" if options.quick else "whole", "variant": options.variant}
-    folder = None if options.out is None else _folder(options.out, identity, options.force)
     _set_variant(options.variant)
+    folder = None if options.out is None else _folder(options.out, identity, options.force)
     checks: list[Check] = []
 
     def keep() -> None:
@@ -125,9 +125,7 @@ def _set_variant(name: str) -> None:
 
 
 def _folder(name: str, identity: dict, force: bool) -> Path:
-    folder = Path(name)
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
+    folder = require_folder(name)
     for result in ("stability.json", "stability.csv"):
         refuse_other_settings(folder / result, identity_in(folder / "stability.json"), identity, force)
     folder.mkdir(parents=True, exist_ok=True)
