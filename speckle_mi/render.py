@@ -127,7 +127,7 @@ def settings_of_sources(path: str | os.PathLike) -> object:
         return None
 
 
-def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict) -> None:
+def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict | None = None) -> None:
     """Writes position, amplitude and pixel geometry, with which the field can be checked independently.
 
     In free space without a lobe the field is the sum of ``amplitude * exp(i k r) / r`` over ``position`` exactly. The
@@ -146,7 +146,7 @@ def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict)
             wavelength=assembly.beam.wavelength,
         )
         with zipfile.ZipFile(file, "a") as archive:
-            archive.comment = json.dumps(settings).encode()
+            archive.comment = json.dumps(settings or {}).encode()
 
 
 if __name__ == "__main__":
