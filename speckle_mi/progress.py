@@ -1,13 +1,20 @@
-"""How far a long computation has come: told where it loops, shown as bars on stderr where a command listens."""
+"""How far a long computation has come: told where it loops, shown on stderr where a command listens.
+
+On a terminal as bars, elsewhere as a line from time to time.
+"""
 
 from __future__ import annotations
 
+import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 SHOWN_AFTER = 1.0
 """Seconds after which a computation that goes on gets a bar of its own."""
+SECONDS_A_LINE = 30.0
+"""Where stderr is no terminal."""
 
 _bars: list[_Bars] = []
 
@@ -20,7 +27,7 @@ def tell(what: str, done: int, total: int) -> None:
 
 @contextmanager
 def progress_bars(quiet: bool, predicts: bool = True) -> Iterator[object]:
-    """Bars on stderr, gone when the block ends: the block's own, as tasks of what is given, and those of :func:`tell`.
+    """Bars that are gone when the block ends: the block's own, as tasks of what is given, and those of :func:`tell`.
 
     predicts: whether steps take as long as each other, so that the time left can be told.
     """
@@ -30,12 +37,25 @@ def progress_bars(quiet: bool, predicts: bool = True) -> Iterator[object]:
     columns = [TextColumn("{task.description:<8}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     if predicts:
         columns += [TextColumn("left"), TimeRemainingColumn()]
-    with Progress(*columns, console=Console(stderr=True), disable=quiet, transient=True) as progress:
+    console, ended = Console(stderr=True), threading.Event()
+    hidden = quiet or not console.is_terminal
+    with Progress(*columns, console=console, disable=hidden, transient=True) as progress:
+        if hidden and not quiet:
+            threading.Thread(target=_lines, args=(progress, ended), name="progress", daemon=True).start()
         _bars.append(_Bars(progress))
         try:
             yield progress
         finally:
+            ended.set()
             _bars.pop()
+
+
+def _lines(progress, ended: threading.Event) -> None:
+    """Says every now and then on stderr how far the tasks are, until ``ended``."""
+    began = time.perf_counter()
+    while not ended.wait(SECONDS_A_LINE):
+        tasks = ", ".join(f"{task.description} {task.completed:g} of {task.total:g}" for task in progress.tasks)
+        print(f"{time.perf_counter() - began:.0f} s: {tasks or 'at work'}", file=sys.stderr, flush=True)
 
 
 class _Bars:

@@ -56,6 +56,8 @@ def test_sizes_are_positive_and_of_this_world(mitsuba, part, name, value):
 OUT_OF_RANGE = [
     ("laser", "string", "beam_radius", "-inf"),
     ("laser", "float", "wavefront_radius", "0"),
+    ("laser", "float", "wavefront_radius", "1e300"),
+    ("laser", "float", "wavefront_radius", "-1e-300"),
     ("target", "float", "roughness", "-1"),
     ("target", "float", "roughness", "1e30"),
     ("target", "float", "correlation_length", "-1"),
@@ -276,6 +278,8 @@ POINTS = {
     "infinite": b"1,inf,3\n",
     "binary": bytes(range(256)),
     "cut short": b"0,0,0\n1,2",
+    "out of the world": b"0,0,1e9",
+    "of no strength that an image holds": b"0,0,0,1e300,0",
 }
 
 
@@ -309,6 +313,7 @@ MESHES = {
     "short.ply": PLY_HEAD + b"0 0 0\n1 0 0\n",
     "nan.ply": PLY_HEAD + b"0 0 0\n1 0 nan\n0 1 0\n3 0 1 2\n",
     "index.ply": PLY_HEAD + b"0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n",
+    "far.ply": PLY_HEAD + b"0 0 0\n1e9 0 0\n0 1 0\n3 0 1 2\n",
     "flat.ply": PLY_HEAD + b"0 0 0\n1 0 0\n2 0 0\n3 0 1 2\n",
     "huge.ply": PLY_HEAD.replace(b"vertex 3", b"vertex 3000000000") + b"0 0 0\n",
     "empty.obj": b"",
@@ -329,3 +334,20 @@ def test_a_bad_mesh_is_refused(mitsuba, tmp_path, name):
 def test_a_mesh_and_a_size_together_are_refused(mitsuba, tmp_path):
     (tmp_path / "one.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert "filename" in refusal(mitsuba, scene_with(target=target_xml(filename=str(tmp_path / "one.obj"), width=4.0)))
+
+
+@pytest.mark.parametrize("kind", ["aperture", "blocker", "target"])
+def test_a_shape_too_far_out_for_single_precision_is_refused_by_name(mitsuba, kind):
+    """Rays start off a surface by what rounding moves it; 90 m out that is more than between target and screen."""
+    far = {
+        "aperture": {"aperture": PARTS["aperture"].replace('"9.0"', '"90000.0"')},
+        "blocker": {"lens": '<shape type="rectangle" id="blocker"><transform name="to_world"><translate x="30001" z="5"/>'
+                            '</transform><bsdf type="diffuse"/></shape>'},
+        "target": {"target": target_xml(width=70000.0)},
+    }  # fmt: skip
+    is_clear(refusal(mitsuba, scene_with(**{"lens": ""} | far[kind])), kind, "30000 mm")
+
+
+def test_a_shape_just_inside_thirty_metres_is_taken(mitsuba):
+    far = {"aperture": PARTS["aperture"].replace('"9.0"', '"29000.0"'), "lens": ""}
+    assert len(assembly_from_scene(mitsuba.load_string(scene_with(**far))).elements) == 1

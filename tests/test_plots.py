@@ -163,9 +163,19 @@ def test_speckle_images_of_any_shape_are_drawn_at_a_printable_size(tmp_path, dra
     intensity = np.random.default_rng(0).exponential(size=shape)
     plots.plot_speckle(tmp_path / "s.png", intensity, 0.006, "pattern")
     rows, columns, _ = imread(tmp_path / "s.png").shape
-    assert 200 < rows < 2000 and 500 < columns < 2000
+    assert 200 < rows < 2000 and 300 < columns < 2000
     stretched = max(shape) / min(shape) > plots.LONGEST_ASPECT
     assert ("not to scale" in drawn[0].axes[0].get_title(loc="left")) == stretched
+
+
+@pytest.mark.parametrize("shape", [(744, 480), (1000, 170), (480, 744), (240, 720)])
+def test_a_speckle_image_fills_its_picture_and_no_label_is_cut_off(tmp_path, shape):
+    plots.plot_speckle(tmp_path / "s.png", np.random.default_rng(0).exponential(size=shape), 0.006, "pattern")
+    ink = imread(tmp_path / "s.png")[..., :3].min(axis=-1) < 0.8
+    for side in (ink, ink.T):
+        drawn = np.flatnonzero(side.any(axis=1))
+        before, behind = drawn[0], len(side) - 1 - drawn[-1]
+        assert 3 <= before < 60 and 3 <= behind < 60
 
 
 @pytest.mark.filterwarnings("error")

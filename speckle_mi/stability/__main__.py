@@ -12,6 +12,7 @@ from pathlib import Path
 from ..cli import add_force, command, parser, say
 from ..files import identity_in, refuse_other_settings, replacing, require_folder, write_json
 from ..interrupt import keeping
+from ..progress import progress_bars
 from .case import BROKEN, LIMIT, OK, Check, checks_of
 
 BOUND_BROKEN = 1
@@ -49,9 +50,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def catalogue(quick: bool = False, progress: bool = False) -> Iterator[Check]:
     """Every check of the catalogue, one after the other; ``quick`` leaves out what takes long."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
     from . import correlator, illumination, motion, optics, precision, scale, surfaces
 
     groups = {
@@ -64,8 +62,7 @@ def catalogue(quick: bool = False, progress: bool = False) -> Iterator[Check]:
         "correlator": correlator,
     }
     cases = [(name, case) for name, group in groups.items() for case in group.CASES if case.in_quick or not quick]
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=Console(stderr=True), disable=not progress, transient=True) as bar:
+    with progress_bars(not progress, predicts=False) as bar:
         task = bar.add_task("cases", total=len(cases))
         for name, case in cases:
             bar.update(task, description=f"{name}: {case.name}")
