@@ -42,7 +42,7 @@ def sum_of_sources(path, shape):
 
 def check_against_sources(assembly, tmp_path, pose=Pose(), tolerance=FIELD_ERROR):
     frame = simulate_frame(assembly, pose)
-    write_sources(tmp_path / "sources.npz", assembly, frame.scatterers)
+    write_sources(tmp_path / "sources.npz", assembly, frame.scatterers, {})
     exact = sum_of_sources(tmp_path / "sources.npz", assembly.detector.shape)
     error = relative_error(frame.image.field, exact)
     assert frame.scatterers.count > 50 and error <= tolerance, (error, frame.plan)
