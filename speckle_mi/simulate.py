@@ -9,12 +9,12 @@ import numpy as np
 from . import __version__
 from .assembly import Assembly
 from .channel import Channel
+from .cores import products_on_one_thread
 from .exr import FieldImage
 from .fields import ChannelField, channel_field, ray_channel
 from .geometry import Frame, Pose
 from .plan import Plan, make_plan
 from .progress import tell
-from .propagation.cores import products_on_one_thread
 from .surface import Scatterers, illuminated_points, illuminated_scatterers
 from .visibility import pixels_in_view, visible_scatterers
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from . import __version__, llvm
 from .cli import command, parser
+from .cores import usable_cores
 
 _PACKAGES = ("mitsuba", "drjit", "numpy", "scipy", "finufft", "OpenEXR", "scikit-image", "matplotlib", "rich")
 
@@ -36,11 +37,6 @@ def system_information() -> dict[str, str]:
         "system": platform.platform(),
     }
     return information
-
-
-def usable_cores() -> int:
-    """Processor cores that this process may run on."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _has_cuda() -> bool:

@@ -10,16 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from os import cpu_count
 
 import drjit as dr
 import numpy as np
 from scipy.special import jv
 
 from ..backend import arrays
+from ..cores import on_all_cores, usable_cores
 from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import chebyshev_nodes, interpolation_matrix
-from .cores import on_all_cores
 from .device import WRITE, phasor
 from .direct import SINGLE_PRECISION, supports
 from .paths import Path
@@ -251,7 +250,7 @@ def _interpolate_grid(
 def _product(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
     """matrix @ other, the rows shared out to the cores."""
     product = np.empty((len(matrix), other.shape[1]), dtype=other.dtype)
-    edges = np.linspace(0, len(matrix), (cpu_count() or 1) + 1).astype(int)
+    edges = np.linspace(0, len(matrix), usable_cores() + 1).astype(int)
     pieces = [slice(first, end) for first, end in zip(edges[:-1], edges[1:], strict=True)]
     on_all_cores(lambda piece: np.matmul(matrix[piece], other, out=product[piece]), pieces)
     return product

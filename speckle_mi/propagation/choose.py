@@ -12,9 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ..cores import products_on_one_thread
 from ..geometry import PlaneGrid, PlanePoints
 from .bandlimited import NodeGrid, band_limited_sum, node_grid, reach_of
-from .cores import products_on_one_thread
 from .device import active_variant
 from .direct import SINGLE_PRECISION, direct_sum, supports
 from .interpolated import interpolated

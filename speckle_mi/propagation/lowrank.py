@@ -17,14 +17,13 @@ NUFFT is FINUFFT (Barnett, Magland & af Klinteberg, SIAM J. Sci. Comput. 41 (201
 from __future__ import annotations
 
 from dataclasses import dataclass
-from os import cpu_count
 
 import finufft
 import numpy as np
 
+from ..cores import on_all_cores, usable_cores
 from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import TensorSeries, axis_tails, interpolation_matrix, tensor_coefficients, tensor_nodes
-from .cores import on_all_cores
 from .paths import Path
 from .plane import Rectangle
 from .sources import SourceBox, chunks, for_chunks
@@ -311,7 +310,7 @@ def low_rank_sum(expansion: LowRank, sources: np.ndarray, weights: np.ndarray, p
 
 def _pieces(count: int) -> list[slice]:
     """As many equal slices as cores, or a multiple where they would be larger than ``PIECE``."""
-    cores = cpu_count() or 1
+    cores = usable_cores()
     number = 1 if count < SMALLEST_PIECE * cores else cores * -(-count // (cores * PIECE))
     edges = np.linspace(0, count, number + 1).astype(int)
     return [slice(first, end) for first, end in zip(edges[:-1], edges[1:], strict=True)]

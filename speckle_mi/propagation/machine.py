@@ -11,11 +11,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from os import cpu_count
 
 import finufft
 import numpy as np
 
+from ..cores import usable_cores
 from ..geometry import PlaneGrid, PlanePoints
 from .bandlimited import NodeGrid, band_limited_sum
 from .direct import direct_sum
@@ -78,7 +78,7 @@ def measured_costs(variant: str) -> Costs:
     terms = np.ones((2, 65536), dtype=np.complex64)
 
     def transform() -> None:
-        plan = finufft.Plan(3, 2, n_trans=2, eps=1e-5, isign=1, dtype="complex64", nthreads=cpu_count())
+        plan = finufft.Plan(3, 2, n_trans=2, eps=1e-5, isign=1, dtype="complex64", nthreads=usable_cores())
         plan.setpts(places[0], places[1], None, slopes[0], slopes[1])
         plan.execute(terms)
 

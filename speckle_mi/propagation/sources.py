@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from .cores import on_all_cores
+from ..cores import on_all_cores
 
 SOURCES_AT_ONCE = 1 << 14
 """Sources handled by one thread at once: the arrays of a chunk stay in its cache."""

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections import deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from functools import lru_cache
-from os import cpu_count
 
 from threadpoolctl import ThreadpoolController
+
+
+def usable_cores() -> int:
+    """Processor cores that this process may run on."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def on_all_cores(work: Callable, items: Iterable) -> list:
@@ -18,7 +23,7 @@ def on_all_cores(work: Callable, items: Iterable) -> list:
     Products of matrices inside run on one thread each.
     """
     items = list(items)
-    others = min(cpu_count() or 1, len(items)) - 1
+    others = min(usable_cores(), len(items)) - 1
     if others < 1:
         return [work(item) for item in items]
     results: list = [None] * len(items)
@@ -61,7 +66,7 @@ def products_on_one_thread() -> AbstractContextManager:
 
 @lru_cache(maxsize=1)
 def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(max(1, (cpu_count() or 1) - 1))
+    return ThreadPoolExecutor(max(1, usable_cores() - 1))
 
 
 @lru_cache(maxsize=1)
