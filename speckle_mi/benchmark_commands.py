@@ -39,7 +39,8 @@ def command_times(folder: Path, scene_xml: str, shape: tuple[int, int], quick: b
     if quick:
         return found
     # Out to where its light ends, the beam lights nine times the area that point_sources are counted in.
-    sweep = ["sweep", str(scene), "--out", str(folder / "sweep"), "--seeds", "1", "--quiet", "-D", "point_sources=11100"]
+    many = ["-D", "point_sources=11100"]
+    sweep = ["sweep", str(scene), "--out", str(folder / "sweep"), "--seeds", "1", "--quiet", *many]
     seconds, memory = _seconds_and_memory(sweep)
     found["sweep, 61 frames"] = _single(seconds, memory, "of 100,000 scatterers each, cold start")
     large = ["-D", "point_sources=111000", "-D", "width=2000", "-D", "height=2000"]

@@ -141,7 +141,8 @@ def load_scene(path: str, defaults: Sequence[str], variant: str):
     known = set(re.findall(r"<default\s[^>]*name\s*=\s*[\"']([^\"']+)[\"']", text))
     for name in values:
         if name not in known:
-            raise ValueError(f"-D {name}: the scene has no such <default>, must be one of {', '.join(sorted(known)) or '(none)'}")
+            choices = ", ".join(sorted(known)) or "(none)"
+            raise ValueError(f"-D {name}: the scene has no such <default>, must be one of {choices}")
     # Mitsuba warns that a monochrome variant makes films monochrome, which is what is wanted here.
     mi.set_log_level(mi.LogLevel.Error)
     scene = mi.load_file(path, **values)
@@ -173,6 +174,8 @@ def one_line(error: BaseException) -> str:
     unknown = re.search(r'Found \d+ unreferenced \w+ in (\w+) plugin of type "(\w+)":\s+- (\w+) "([^"]*)"', text)
     if unknown:
         role, plugin, kind, name = unknown.groups()
-        lines.append(f"{role} {plugin!r} has no parameter {name!r} of type {kind}, must be one that its documentation names")
+        lines.append(
+            f"{role} {plugin!r} has no parameter {name!r} of type {kind}, must be one that its documentation names"
+        )
     reason = re.sub(r"^(\w+\.)*\w*Error: ", "", lines[-1])
     return f"{place.group(1)}: {reason}" if place else reason

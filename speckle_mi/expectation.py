@@ -167,8 +167,8 @@ class _Zones:
 
     places: (n, 3) [mm]; weights: (n, 2), for phase slopes along the opening's x and y; axes: (2, 3) these.
 
-    What moves the pattern is the straight line that fits a phase over the opening best. Its slope along x is the mean of
-    the local slopes, the motions of rays' ends, weighted by x_edge^2 - x^2, x_edge the rim at that y: integration
+    What moves the pattern is the straight line that fits a phase over the opening best. Its slope along x is the mean
+    of the local slopes, the motions of rays' ends, weighted by x_edge^2 - x^2, x_edge the rim at that y: integration
     by parts of the mean of phase times x.
     """
 
@@ -217,7 +217,7 @@ class _ChiefRay:
     sight: (3,) its direction at the spot; across: (2, 3) unit vectors across it; magnification, lever: (2, 2) motion of
     a ray's end on the detector per shift [mm/mm] and per tilt [mm/rad] of its beginning; distance: to the opening [mm].
     With aberrations both are those of the part of a phase change that is linear over the opening, see :class:`_Zones`:
-    a tilt shifts the light across the pupil, so that the lever is the straight line fitted to the rays' ends themselves.
+    a tilt shifts the light across the pupil, so that the lever is the straight line fitted to the rays' ends.
     """
 
     sight: np.ndarray
@@ -230,7 +230,7 @@ class _ChiefRay:
 def _chief_ray(
     assembly: Assembly, channel: Channel, system: Sequence, u: np.ndarray, v: np.ndarray, over: _Zones
 ) -> _ChiefRay | None:
-    """The chief ray through ``system``, whose end is measured along u and v, with the rays over zones of the opening."""
+    """The chief ray through ``system``, its end measured along u and v, with the rays over zones of the opening."""
     spot = assembly.target.spot
     launch = _launch_to(channel, spot[None], _opening_middle(channel))
     zones = _launch_to(channel, spot[None], over.places)

@@ -41,7 +41,7 @@ _DARK = 1e-4
 wave of an edge that is otherwise left out."""
 
 _FEW_PAIRS = 300_000
-"""Pairs of scatterer and pixel below which their plain sum takes less time than the search for the best way to do it."""
+"""Pairs of scatterer and pixel below which their plain sum takes less time than the search for a better way."""
 
 _GRADIENT_SAFETY = 1.05
 """Factor on the sampled phase gradient, for what lies between the samples."""

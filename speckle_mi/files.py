@@ -81,7 +81,7 @@ def _require_place(path: str | os.PathLike) -> None:
 
 
 def refuse_other_settings(path: str | os.PathLike, held: object, wanted: object, force: bool) -> None:
-    """Raises ValueError where ``path`` exists and the settings ``held`` there are not those ``wanted`` now, unless forced."""
+    """Raises ValueError where ``path`` exists and holds other settings than those ``wanted`` now, unless forced."""
     if Path(path).exists() and held != wanted and not force:
         raise ValueError(f"{path}: holds results of other settings, give another name or --force to overwrite them")
 
@@ -149,7 +149,9 @@ def resolve(props, name: str) -> Path:
         raise SceneError(f"{describe(props)}: parameter {name!r} is {value!r}, must be the name of a file")
     path = Path(str(mi.file_resolver().resolve(value)))
     if not path.is_file():
-        raise SceneError(f"{describe(props)}: parameter {name!r} names {value!r}, which is not a file (looked beside the scene)")
+        raise SceneError(
+            f"{describe(props)}: parameter {name!r} names {value!r}, which is not a file (looked beside the scene)"
+        )
     return path
 
 
@@ -169,10 +171,14 @@ def mesh_from_file(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     vertices = np.array(mesh.vertex_positions_buffer(), dtype=np.float64).reshape(-1, 3)
     faces = np.array(mesh.faces_buffer(), dtype=np.int64).reshape(-1, 3)
     if len(faces) == 0 or not np.all(np.isfinite(vertices)):
-        raise SceneError(f"{where}: {path.name!r} holds {len(faces)} faces, must hold at least one, with finite vertices")
+        raise SceneError(
+            f"{where}: {path.name!r} holds {len(faces)} faces, must hold at least one, with finite vertices"
+        )
     if faces.min() < 0 or faces.max() >= len(vertices):
         wrong = faces.min() if faces.min() < 0 else faces.max()
-        raise SceneError(f"{where}: {path.name!r} has a face with vertex {wrong}, must be one of 0 to {len(vertices) - 1}")
+        raise SceneError(
+            f"{where}: {path.name!r} has a face with vertex {wrong}, must be one of 0 to {len(vertices) - 1}"
+        )
     if np.max(np.abs(vertices)) > FARTHEST:
         raise SceneError(
             f"{where}: {path.name!r} has a vertex at {np.max(np.abs(vertices)):g} mm, must stay within {FARTHEST:g} mm"
@@ -203,9 +209,13 @@ def points_from_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
             if not rows and columns is None:
                 columns = 0  # the heading
                 continue
-            raise SceneError(f"{where}: {path.name!r} line {number} is {line!r}, must be numbers x,y,z[,re,im]") from None
+            raise SceneError(
+                f"{where}: {path.name!r} line {number} is {line!r}, must be numbers x,y,z[,re,im]"
+            ) from None
         if len(values) not in (3, 5) or (rows and len(values) != len(rows[0])):
-            raise SceneError(f"{where}: {path.name!r} line {number} has {len(values)} columns, must have 3 or 5 throughout")
+            raise SceneError(
+                f"{where}: {path.name!r} line {number} has {len(values)} columns, must have 3 or 5 throughout"
+            )
         if not np.all(np.isfinite(values)):
             raise SceneError(f"{where}: {path.name!r} line {number} is {line!r}, must hold finite numbers")
         if max(map(abs, values[:3])) > FARTHEST or max(map(abs, values[3:]), default=0.0) > LARGEST_WEIGHT:

@@ -270,7 +270,7 @@ def dress(axes: Axes) -> None:
 
 
 def legend_outside(figure: Figure, *axes: Axes, columns: int, below: bool = False) -> None:
-    """One legend for all axes outside the data, above them or, where a title stands there, below; in so many columns."""
+    """One legend for all axes, outside the data: above them or, under a title, below; in so many columns."""
     entries = {}
     for panel in axes:
         for handle, label in zip(*panel.get_legend_handles_labels(), strict=True):

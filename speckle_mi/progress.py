@@ -32,7 +32,8 @@ def progress_bars(quiet: bool, predicts: bool = True) -> Iterator[object]:
     predicts: whether steps take as long as each other, so that the time left can be told.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import TimeElapsedColumn, TimeRemainingColumn
 
     columns = [TextColumn("{task.description:<8}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()]
     if predicts:

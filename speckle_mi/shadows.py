@@ -320,7 +320,7 @@ def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
 
 
 def lit_nodes(channel: Channel, rim: Rim, sources: np.ndarray, points: np.ndarray) -> Iterator[np.ndarray]:
-    """For each of sources (m, 3), whether points (n, 3) of the first opening are lit over all rims not diffracted at."""
+    """For each of sources (m, 3), whether points (n, 3) of the first opening are lit over rims not diffracted at."""
     for source in sources:
         yield np.all(_clearance_over(channel, rim, np.broadcast_to(source, points.shape), points) >= 0, axis=0)
 

@@ -78,7 +78,8 @@ _PLANS_KEPT = 8
 _PIXELS_AT_ONCE = 1 << 13
 
 _UNLIT = (
-    "no light: the beam misses the target at this pose, or no scatterer lies under it (see point_sources), the field is zero"
+    "no light: the beam misses the target at this pose, or no scatterer lies under it (see point_sources), "
+    "the field is zero"
 )
 
 

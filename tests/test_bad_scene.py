@@ -341,7 +341,8 @@ def test_a_shape_too_far_out_for_single_precision_is_refused_by_name(mitsuba, ki
     """Rays start off a surface by what rounding moves it; 90 m out that is more than between target and screen."""
     far = {
         "aperture": {"aperture": PARTS["aperture"].replace('"9.0"', '"90000.0"')},
-        "blocker": {"lens": '<shape type="rectangle" id="blocker"><transform name="to_world"><translate x="30001" z="5"/>'
+        "blocker": {"lens": '<shape type="rectangle" id="blocker">'
+                            '<transform name="to_world"><translate x="30001" z="5"/>'
                             '</transform><bsdf type="diffuse"/></shape>'},
         "target": {"target": target_xml(width=70000.0)},
     }  # fmt: skip

@@ -23,7 +23,8 @@ def test_a_loop_has_a_bar_from_its_start_to_its_end(at_once):
     with progress.progress_bars(quiet=True) as bars:
         progress.tell("rows", 1, 3)
         progress.tell("layers", 5, 6)
-        assert {(task.description, task.completed, task.total) for task in bars.tasks} == {("rows", 1, 3), ("layers", 5, 6)}
+        shown = {(task.description, task.completed, task.total) for task in bars.tasks}
+        assert shown == {("rows", 1, 3), ("layers", 5, 6)}
         progress.tell("rows", 2, 3)
         progress.tell("layers", 6, 6)
         assert [(task.description, task.completed) for task in bars.tasks] == [("rows", 2)]
