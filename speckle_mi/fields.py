@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from .openings import opening_nodes
 from .optics.aim import aim
 from .optics.surfaces import Circle, Interaction, Sequence, detector_plane
 from .parameters import SceneError
-from .progress import tell
 from .propagation import FreeSpace, RayleighSommerfeld, SumResult, coherent_sum
 from .propagation.reference import reference_sum
 from .ray_method import ray_field
@@ -124,7 +122,7 @@ def ray_channel(
     sequence = Sequence(channel.interactions) if channel.interactions else None
     rays = assembly.options.rays_per_source
     sources, weights = scatterers.position, scatterers.amplitude
-    result = ray_field(sequence, grid, sources, weights, assembly.beam.wavelength, rays, partial(tell, "sources"))
+    result = ray_field(sequence, grid, sources, weights, assembly.beam.wavelength, rays)
     values = result.field
     if shapes_beside_way(assembly, channel, extremes(sources, frame.axes)):
         values, *_ = shadowed_sum(

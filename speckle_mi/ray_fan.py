@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from speckle_mi.geometry import PlaneGrid, vectors_across
-from speckle_mi.optics.aim import aim
-from speckle_mi.optics.surfaces import Sequence
-from speckle_mi.optics.trace import Log, RayStatus, march, tube_at_end, zeros_between
+from .geometry import PlaneGrid, vectors_across
+from .optics.aim import aim
+from .optics.surfaces import Sequence
+from .optics.trace import Log, RayStatus, march, tube_at_end, zeros_between
 
 PROBE_RAYS, DENSE_PROBE_RAYS = 41, 201
 """Rays along each side of the lattices that find the solid angle to be covered; dense: the first look for a pinhole."""

@@ -9,11 +9,11 @@ from numpy.polynomial.chebyshev import chebvander
 from scipy.linalg import eigh
 from scipy.ndimage import binary_dilation
 
-from speckle_mi.geometry import PlaneGrid
-from speckle_mi.memory import excess
-from speckle_mi.optics.surfaces import Sequence
-from speckle_mi.optics.trace import RayStatus
-from speckle_mi.ray_fan import PROBE_RAYS, LaunchCones, Rays, detector_box, find_window, lattice
+from .geometry import PlaneGrid
+from .memory import excess
+from .optics.surfaces import Sequence
+from .optics.trace import RayStatus
+from .ray_fan import PROBE_RAYS, LaunchCones, Rays, detector_box, find_window, lattice
 
 FEWEST_ARRIVALS = 4
 """Arriving rays, on the detector and free, below which a source's light is not interpolated."""

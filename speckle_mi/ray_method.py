@@ -26,10 +26,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from speckle_mi.geometry import Frame, PlaneGrid
-from speckle_mi.optics.surfaces import Interaction, Sequence, Surface
-from speckle_mi.ray_fan import LaunchCones
-from speckle_mi.ray_fit import Arrivals, Fit, arrivals_of
+from .geometry import Frame, PlaneGrid
+from .optics.surfaces import Interaction, Sequence, Surface
+from .progress import tell
+from .ray_fan import LaunchCones
+from .ray_fit import Arrivals, Fit, arrivals_of
 
 FEWEST_RAYS = 16
 """Rays a source below which there is no lattice to interpolate on."""
@@ -79,8 +80,9 @@ def ray_field(
     total = _Sum(grid, wavelength)
     if len(position):
         cones = LaunchCones.around(system, grid, position)
-        for source, weight in zip(position, amplitude, strict=True):
+        for number, (source, weight) in enumerate(zip(position, amplitude, strict=True)):
             total.add(arrivals_of(system, grid, cones, source, rays_per_source), weight)
+            tell("sources", number + 1, len(position))
     return total.result()
 
 
