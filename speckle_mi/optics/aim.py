@@ -17,8 +17,8 @@ from functools import partial
 
 import numpy as np
 
-from speckle_mi.optics.surfaces import Sequence, dot
-from speckle_mi.optics.trace import Log, RayStatus, march, paired_rows, tube_at_end, zeros_between
+from .surfaces import Sequence, dot
+from .trace import Log, RayStatus, march, paired_rows, tube_at_end, zeros_between
 
 TARGET_TOLERANCE = 1e-8
 """Distance [mm] from ray to target that counts as hit. The path length is corrected for it to first order, so what is

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from speckle_mi.optics.aim import AimedPaths, aim
-from speckle_mi.optics.surfaces import Sequence
-from speckle_mi.optics.trace import RayStatus
+from .aim import AimedPaths, aim
+from .surfaces import Sequence
+from .trace import RayStatus
 
 
 @dataclass(frozen=True, eq=False)

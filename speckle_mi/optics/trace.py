@@ -16,7 +16,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from speckle_mi.optics.surfaces import Interaction, Sequence, dot
+from .surfaces import Interaction, Sequence, dot
 
 BEHIND_TOLERANCE = 1e-9
 """A surface this far behind the ray's start [mm] still counts as met: a source may lie on it, rounded."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from speckle_mi.geometry import Frame, PlaneGrid
-from speckle_mi.optics.surfaces import Interaction, Surface
+from .surfaces import Interaction, Surface
 
 
 def unfold(interactions: tuple[Interaction, ...], grid: PlaneGrid) -> tuple[tuple[Interaction, ...], PlaneGrid]:
