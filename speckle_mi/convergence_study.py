@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 
@@ -34,8 +34,8 @@ from .simulate import plan_of, simulate_frame
 METHODS = ("auto", "direct", "fast", "rays")
 SHARES = {"exact": 0.18, "auto": 0.18, "direct": 0.06, "fast": 0.14, "rays": 0.26, "surfaces": 0.18}
 """Of the time, in the order in which it is spent; what a part leaves over goes to those after it."""
-SHARE_OF_ONE = 2 / 3
-"""Of a part's time left that one N1 may take, so that the larger ones, which take longest, get their turn."""
+SHARE_OF_STEP = 2 / 3
+"""Of a part's time left that one step of it may take, so that those after it, which take longest, get their turn."""
 DIRECT_TOLERANCE = 1e-6
 """What ``direct`` is asked for behind openings, where it says how finely they are divided."""
 
@@ -147,28 +147,40 @@ class Study:
         history: dict[int, tuple[int, float]] = {}
         if method == "direct":
             history[0] = (self.point_sources[0], self._nodes * self.assembly.detector.size / PAIRS_PER_SECOND)
-        for count in self.point_sources:
-            self.allowance.begin_step(1.0 if count == self.point_sources[-1] else SHARE_OF_ONE)
-            coarser = 0.0
-            for number, accuracy in enumerate(accuracies):
-                setting = Setting(method, count, **accuracy)
-                # The next accuracy is not faster than the one before, whether that was measured or left out.
+        coarser = dict.fromkeys(self.point_sources, 0.0)
+        for step in self._steps(method, len(accuracies)):
+            for count, number in step:
+                setting = Setting(method, count, **accuracies[number])
                 if method == "rays" and number not in history:
                     try:
                         history[number] = (count, self._seconds_of_rays(setting))
                     except ValueError as error:
                         return [*rows, replace(self._blank(setting), status=DOES_NOT_APPLY, note=one_line(error))]
                 expected = _predicted(setting, history.get(number), self.assembly.detector.size)
-                row = self._one_setting(setting, max(expected, coarser))
+                row = self._one_setting(setting, max(expected, coarser[count]))
                 if row.status == MEASURED:
                     history[number] = (count, row.seconds_median)
                 if method != "rays":
-                    coarser = row.seconds_median if row.status == MEASURED else max(expected, coarser)
+                    # The next accuracy is not faster than the one before, whether that was measured or left out.
+                    coarser[count] = row.seconds_median if row.status == MEASURED else max(expected, coarser[count])
                 rows.append(row)
                 advance()
                 if row.status == DOES_NOT_APPLY:
                     return rows
         return rows
+
+    def _steps(self, method: str, accuracies: int) -> Iterator[list[tuple[int, int]]]:
+        """(N1, number of the accuracy) of the settings to measure, in steps that each have their share of the time.
+
+        The tightest tolerances take longest, so each tolerance goes through all N1 before the next; rays take longest
+        with the most sources, so each N1 goes through all N2 first.
+        """
+        counts, numbers = self.point_sources, range(accuracies)
+        by_count = [[(count, number) for number in numbers] for count in counts]
+        steps = by_count if method == "rays" else [list(step) for step in zip(*by_count, strict=True)]
+        for step in steps:
+            self.allowance.begin_step(1.0 if step is steps[-1] else SHARE_OF_STEP)
+            yield step
 
     def _one_setting(self, setting: Setting, seconds: float) -> Row:
         """One row; ``seconds`` is what a frame should take, 0 if nobody knows."""
@@ -244,7 +256,7 @@ class Study:
             if self.assembly.elements:
                 # Few scatterers cost little beside what every frame takes: the growth so far goes on.
                 expected *= max(sample.seconds / before[-2][1].seconds, 1.0) if len(before) > 1 else 1.0
-                tolerance = sample.tolerance if expected < SHARE_OF_ONE * self.allowance.left else EXACT_TOLERANCES[1]
+                tolerance = sample.tolerance if expected < SHARE_OF_STEP * self.allowance.left else EXACT_TOLERANCES[1]
             else:
                 grown = sample.scatterers * count / last
                 expected *= grown * sampled_pixels(grown) / (sample.scatterers * sampled_pixels(sample.scatterers))
