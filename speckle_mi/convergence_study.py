@@ -32,7 +32,7 @@ from .run_times import Timing, duration
 from .simulate import plan_of, simulate_frame
 
 METHODS = ("auto", "direct", "fast", "rays")
-SHARES = {"exact": 0.18, "auto": 0.18, "direct": 0.06, "fast": 0.14, "rays": 0.26, "surfaces": 0.18}
+SHARES = {"exact": 0.15, "auto": 0.15, "direct": 0.05, "fast": 0.1, "rays": 0.4, "surfaces": 0.15}
 """Of the time, in the order in which it is spent; what a part leaves over goes to those after it."""
 SHARE_OF_STEP = 2 / 3
 """Of a part's time left that one step of it may take, so that those after it, which take longest, get their turn."""
