@@ -60,7 +60,7 @@ _LIMITS = {
     "wavefront_radius": {"infinite": True, "unit": "mm"},
 }
 
-_SHORTEST, _LONGEST = 1e-9, 1e12
+_SHORTEST, _LONGEST = 1e-9, 1e15
 """Size of a wavefront radius [mm] that double precision can square and take from a path."""
 
 
