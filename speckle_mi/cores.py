@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from contextlib import contextmanager
 from functools import lru_cache
 
+import numpy as np
 from threadpoolctl import ThreadpoolController
 
 
@@ -55,13 +56,21 @@ def on_all_cores(work: Callable, items: Iterable) -> list:
     return results
 
 
-def products_on_one_thread() -> AbstractContextManager:
-    """Inside, NumPy's products of matrices take one thread, whoever calls them.
+def equal_slices(count: int, number: int) -> list[slice]:
+    """``number`` slices, equal to within one item, that cover ``count`` of them."""
+    edges = np.linspace(0, count, number + 1).astype(int)
+    return [slice(first, end) for first, end in zip(edges[:-1], edges[1:], strict=True)]
+
+
+@contextmanager
+def products_on_one_thread() -> Iterator[None]:
+    """Inside, or in a function decorated with it, NumPy's products of matrices take one thread, whoever calls them.
 
     Their own threads spin while they wait for one another: on cores that anything else is using, ours included, a
     product took up to fifty times longer with two of them than with one, and here none is large enough to gain much.
     """
-    return _libraries().limit(limits=1, user_api="blas")
+    with _libraries().limit(limits=1, user_api="blas"):
+        yield
 
 
 @lru_cache(maxsize=1)

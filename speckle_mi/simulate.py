@@ -39,13 +39,10 @@ def simulate(assembly: Assembly, pose: Pose | None = None) -> FieldImage:
     return simulate_frame(assembly, pose).image
 
 
+@products_on_one_thread()
 def simulate_frame(assembly: Assembly, pose: Pose | None = None) -> SimulatedFrame:
     """:func:`simulate` with the scatterers, the plan, the estimated error and the warnings."""
-    with products_on_one_thread():
-        return _simulated(assembly, assembly.pose if pose is None else pose)
-
-
-def _simulated(assembly: Assembly, pose: Pose) -> SimulatedFrame:
+    pose = assembly.pose if pose is None else pose
     frame = assembly.target.frame.moved(pose)
     warnings: list[str] = []
     plan = plan_of(assembly)

@@ -203,8 +203,7 @@ def spot_displacement(
     axes = _frame_axes(axes)
     to_laser = _unit("source_direction", source_direction)
     normal = axes[:, 2] if normal is None else _unit("normal", normal)
-    if abs(normal @ to_laser) < GRAZING_COSINE:
-        raise ValueError(f"grazing illumination: source_direction {_text(to_laser)} lies in the surface, must leave it")
+    _require_lit(to_laser, normal)
     return np.outer(to_laser, normal) @ _motion_of_point(spot, origin, axes) / (normal @ to_laser)
 
 
@@ -305,8 +304,7 @@ def speckle_shape_gaussian_beam(
     sight = np.asarray(detector_centre, dtype=np.float64) - np.asarray(spot, dtype=np.float64)
     distance = require_positive("detector distance", float(np.linalg.norm(sight)))
     to_laser, normal = _unit("source_direction", source_direction), _unit("normal", normal)
-    if abs(to_laser @ normal) < GRAZING_COSINE:
-        raise ValueError(f"grazing illumination: source_direction {_text(to_laser)} lies in the surface, must leave it")
+    _require_lit(to_laser, normal)
     tangents = vectors_across(normal)
     footprint = require_positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(
         tangents @ _across(to_laser) @ tangents.T
@@ -378,6 +376,12 @@ def require_positive(name: str, value: float) -> float:
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name} = {value}: must be positive")
     return float(value)
+
+
+def _require_lit(to_laser: np.ndarray, normal: np.ndarray) -> None:
+    """ValueError where light along a unit vector (3,) grazes the surface of unit ``normal`` (3,)."""
+    if abs(to_laser @ normal) < GRAZING_COSINE:
+        raise ValueError(f"grazing illumination: source_direction {_text(to_laser)} lies in the surface, must leave it")
 
 
 def _unit(name: str, vector: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import jv
 
 from ..backend import arrays
-from ..cores import on_all_cores, usable_cores
+from ..cores import equal_slices, on_all_cores, usable_cores
 from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import chebyshev_nodes, interpolation_matrix
 from .device import WRITE, phasor
@@ -250,8 +250,7 @@ def _interpolate_grid(
 def _product(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
     """matrix @ other, the rows shared out to the cores."""
     product = np.empty((len(matrix), other.shape[1]), dtype=other.dtype)
-    edges = np.linspace(0, len(matrix), usable_cores() + 1).astype(int)
-    pieces = [slice(first, end) for first, end in zip(edges[:-1], edges[1:], strict=True)]
+    pieces = equal_slices(len(matrix), usable_cores())
     on_all_cores(lambda piece: np.matmul(matrix[piece], other, out=product[piece]), pieces)
     return product
 

@@ -79,6 +79,7 @@ class Candidate:
     field: Callable[[], np.ndarray]
 
 
+@products_on_one_thread()
 def coherent_sum(
     path: Path,
     sources: np.ndarray,
@@ -97,19 +98,6 @@ def coherent_sum(
     that lies on a point of the target.
     """
     sources, weights = _checked(sources, weights, target, wavelength, method, tolerance)
-    with products_on_one_thread():
-        return _summed(path, sources, weights, target, wavelength, method, tolerance)
-
-
-def _summed(
-    path: Path,
-    sources: np.ndarray,
-    weights: np.ndarray,
-    target: PlaneGrid | PlanePoints,
-    wavelength: float,
-    method: str,
-    tolerance: float,
-) -> SumResult:
     lit = weights != 0
     if not lit.any():
         return SumResult(np.zeros(_shape(target), dtype=np.complex128), "dark: no source has any weight", 0.0)

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import finufft
 import numpy as np
 
-from ..cores import on_all_cores, usable_cores
+from ..cores import equal_slices, on_all_cores, usable_cores
 from ..geometry import PlaneGrid, PlanePoints
 from .chebyshev import TensorSeries, axis_tails, interpolation_matrix, tensor_coefficients, tensor_nodes
 from .paths import Path
@@ -312,8 +312,7 @@ def _pieces(count: int) -> list[slice]:
     """As many equal slices as cores, or a multiple where they would be larger than ``PIECE``."""
     cores = usable_cores()
     number = 1 if count < SMALLEST_PIECE * cores else cores * -(-count // (cores * PIECE))
-    edges = np.linspace(0, count, number + 1).astype(int)
-    return [slice(first, end) for first, end in zip(edges[:-1], edges[1:], strict=True)]
+    return equal_slices(count, number)
 
 
 def _source_terms(expansion: LowRank, sources: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
