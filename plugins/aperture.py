@@ -52,10 +52,12 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
-from speckle_mi.mesh import ENCLOSING, SECTORS, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
-from speckle_mi.optics.surfaces import Circle, Rectangle, Surface
-from speckle_mi.parameters import SceneError, check_number, describe, read_choice, read_number, stored, value_of
-from speckle_mi.placement import Placement
+from speckle_mi.geometry.outline import Circle, Rectangle
+from speckle_mi.optics.surface import Surface
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.scene.parameters import check_number, describe, read_choice, read_number, stored, value_of
+from ._mesh import ENCLOSING, SECTORS, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
+from ._placement import Placement
 
 _SIZES = {"circle": ("radius",), "rectangle": ("width", "height")}
 _SIZE = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}

@@ -45,11 +45,11 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
-from speckle_mi import llvm
-from speckle_mi.assembly import Options, assembly_from_scene
-from speckle_mi.parameters import describe, read_boolean, read_choice, read_integer, read_number
-from speckle_mi.ray_method import FEWEST_RAYS
-from speckle_mi.simulate import simulate
+from speckle_mi.field.ray_method import FEWEST_RAYS
+from speckle_mi.field.simulate import simulate
+from speckle_mi.machine import llvm
+from speckle_mi.scene.assembly import Options, assembly_from_scene
+from speckle_mi.scene.parameters import describe, read_boolean, read_choice, read_integer, read_number
 
 _METHODS = ("auto", "direct", "fast", "rays")
 

@@ -46,9 +46,10 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from speckle_mi.geometry import PlaneGrid
-from speckle_mi.parameters import SceneError, check_number, describe, read_number, stored, value_of
-from speckle_mi.placement import Placement
+from speckle_mi.geometry.plane import PlaneGrid
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from ._placement import Placement
 
 _PITCH = {"at_least": 1e-6, "at_most": 1e3, "unit": "mm"}
 

@@ -50,9 +50,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from speckle_mi.illumination import Beam
-from speckle_mi.parameters import SceneError, check_number, describe, read_number, stored, value_of
-from speckle_mi.placement import Placement
+from speckle_mi.scattering.beam import Beam
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from ._placement import Placement
 
 _LIMITS = {
     "wavelength": {"at_least": 1.0, "at_most": 1e6, "unit": "nm"},

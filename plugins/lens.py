@@ -57,8 +57,12 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
-from speckle_mi.geometry import Frame
-from speckle_mi.mesh import (
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.outline import Circle
+from speckle_mi.optics.surface import Surface
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from ._mesh import (
     ENCLOSING,
     SECTORS,
     cap_faces,
@@ -69,13 +73,13 @@ from speckle_mi.mesh import (
     rounding_room,
     sector_angles,
 )
-from speckle_mi.optics.surfaces import Circle, Surface
-from speckle_mi.parameters import SceneError, check_number, describe, read_number, stored, value_of
-from speckle_mi.placement import Placement
+from ._placement import Placement
 
 _LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
+
 _CONIC = {"at_least": -1e4, "at_most": 1e4}
 """Beyond, a surface is a cone that turns round within a point."""
+
 _LIMITS = {
     "radius1": {"unit": "mm"},
     "radius2": {"unit": "mm"},

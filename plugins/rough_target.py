@@ -75,11 +75,12 @@ from __future__ import annotations
 import mitsuba as mi
 import numpy as np
 
-from speckle_mi.files import mesh_from_file, points_from_csv, resolve
-from speckle_mi.geometry import DEGREES_OF_FREEDOM, Frame, Pose
-from speckle_mi.mesh import fill_mesh, move_mesh
-from speckle_mi.parameters import (
-    SceneError,
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.pose import DEGREES_OF_FREEDOM, Pose
+from speckle_mi.scattering.facets import Facets
+from speckle_mi.scattering.rough_surface import PointScatterers
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.scene.parameters import (
     check_number,
     describe,
     read_boolean,
@@ -88,16 +89,19 @@ from speckle_mi.parameters import (
     stored,
     value_of,
 )
-from speckle_mi.placement import Placement
-from speckle_mi.surface import Facets, PointScatterers
+from speckle_mi.scene.target_files import mesh_from_file, points_from_csv, resolve
+from ._mesh import fill_mesh, move_mesh
+from ._placement import Placement
 
 _LIMITS = {
     "roughness": {"at_least": 0.0, "at_most": 1e6, "unit": "um"},
     "correlation_length": {"at_least": 0.0, "at_most": 1e9, "unit": "um"},
 }
 _SIZE = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
+
 _SHORTEST = 1e-3
 """Least correlation length [um] other than 0: below the distance of atoms there is none."""
+
 _LARGEST_SEED = 2**63 - 1
 
 

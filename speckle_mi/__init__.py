@@ -12,15 +12,14 @@ import os as _os
 import sys as _sys
 from pathlib import Path as _Path
 
-from . import interrupt as _interrupt
+from .machine import interrupt as _interrupt
 
 # A library leaves signals alone; a command answers them from its first moment on, before its heavy imports.
 if _interrupt.is_command(_sys.argv, _sys.orig_argv):
     _interrupt.listen()
 
-from . import llvm as _llvm  # noqa: E402
-
-__version__ = "0.1.0"
+from .machine import llvm as _llvm  # noqa: E402
+from .version import __version__ as __version__  # noqa: E402
 
 # In a source tree the plugins lie beside this package, in an installation inside it.
 _root = _Path(__file__).resolve().parent.parent
@@ -33,6 +32,6 @@ _llvm.prefer_packaged_library()
 # up to ten times slower on a machine that does anything else. Read when OpenMP is loaded, which is later than here.
 _os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
-from .registration import follow_mitsuba as _follow_mitsuba  # noqa: E402  (after the search path is complete)
+from .plugins._registration import follow_mitsuba as _follow_mitsuba  # noqa: E402  (after the search path is complete)
 
 _follow_mitsuba()

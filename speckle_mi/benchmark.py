@@ -15,20 +15,17 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from .benchmark_peers import FRESNEL_EPS, fresnel_sum, numba_sum, numpy_sum
-from .benchmark_study import PEER_SECONDS, QUICK_PEER_SECONDS, SCENE, TOLERANCE, Bench, Entry
-from .benchmark_tables import new_console, print_costs, print_pieces, print_scaling, print_sums
-from .cli import add_force, command, parser, say
-from .files import identity_in, refuse_other_settings, require_output, write_json
-
-__all__ = ["FRESNEL_EPS", "QUICK_SCATTERERS", "SCATTERERS", "fresnel_sum", "main", "numba_sum", "numpy_sum"]
+from .command_line import add_force, command, parser, say
+from .machine.files import identity_in, refuse_other_settings, require_output, write_json
+from .validation.benchmark.study import PEER_SECONDS, QUICK_PEER_SECONDS, SCENE, TOLERANCE, Bench, Entry
+from .validation.benchmark.tables import new_console, print_costs, print_pieces, print_scaling, print_sums
 
 SCATTERERS, QUICK_SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000), (100, 1_000)
 PIXELS, QUICK_PIXELS = (744, 480), (186, 120)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    from .backend import DEFAULT_VARIANT
+    from .machine.backend import DEFAULT_VARIANT
 
     made = parser("benchmark", "Measures speed and error beside peers, in one run.")
     made.add_argument("--out", metavar="FILE.json", help="also write the figures as JSON")
@@ -44,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
     bench = Bench(_assembly(options), QUICK_PEER_SECONDS if options.quick else PEER_SECONDS, options.quick)
     counts = QUICK_SCATTERERS if options.quick else SCATTERERS
-    from .sysinfo import system_information
+    from .machine.system import system_information
 
     begin = time.perf_counter()
     console = new_console(options.quiet)
@@ -84,8 +81,8 @@ def _assembly(options):
     """The tilted laser, on few pixels if it is to be quick."""
     import mitsuba as mi
 
-    from .assembly import assembly_from_scene
-    from .backend import set_variant
+    from .scene.assembly import assembly_from_scene
+    from .machine.backend import set_variant
 
     set_variant(options.variant)
     mi.set_log_level(mi.LogLevel.Error)

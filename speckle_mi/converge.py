@@ -18,13 +18,15 @@ from pathlib import Path
 
 import numpy as np
 
-from .cli import add_force, command, load_scene, say, scene_parser
-from .files import identity_in, refuse_other_settings, require_folder
-from .progress import progress_bars
+from .command_line import add_force, command, say, scene_parser
+from .machine.files import identity_in, refuse_other_settings, require_folder
+from .machine.progress import progress_bars
+from .scene.load import load_scene
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
 MAX_POINT_SOURCES = 10**15
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
+
 RAYS = (16, 36, 64, 100, 400, 1500, 3000)
 """N2; 1500 is the paper's."""
 
@@ -45,11 +47,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder = require_folder(options.out)
     scene = load_scene(options.scene, options.defaults, options.variant)
     # Not before the arguments are known to be good: these bring Mitsuba and matplotlib with them.
-    from .assembly import assembly_from_scene
-    from .convergence_plots import plot_convergence, plot_scatter
-    from .convergence_report import print_report, write_rows, write_study
-    from .convergence_study import Allowance, Study
-    from .sysinfo import system_information
+    from .scene.assembly import assembly_from_scene
+    from .validation.convergence.plots import plot_convergence, plot_scatter
+    from .validation.convergence.report import print_report, write_rows, write_study
+    from .validation.convergence.study import Allowance, Study
+    from .machine.system import system_information
 
     assembly = assembly_from_scene(scene)
     identity = json.loads(json.dumps({"scene_hash": assembly.fingerprint(), "seed": assembly.seed} | settings))

@@ -3,7 +3,7 @@
     python -m speckle_mi.correlate REF.exr MOVED.exr [--window 256]
 
 Shift, correlation, centres of gravity and statistics of any two images as JSON, lengths in um where a header gives the
-pixel pitch; how a shift is measured, and when none is reported, says :mod:`speckle_mi.correlator`.
+pixel pitch; how a shift is measured, and when none is reported, says :mod:`speckle_mi.measurement.correlator`.
 """
 
 from __future__ import annotations
@@ -11,59 +11,13 @@ from __future__ import annotations
 import json
 import math
 
-import numpy as np
-
-from .correlator import Correlator, Shift, correlate
-from .statistics import centre_of_gravity, contrast, speckle_size
-
-__all__ = ["Correlator", "Shift", "centre_of_gravity", "compare", "correlate", "main"]
-
-
-def compare(reference: np.ndarray, moved: np.ndarray, pitch: float | None, window: int | None = None) -> dict:
-    """What the command prints: shift, correlation, centres of gravity and statistics of two images.
-
-    pitch: [mm], None if unknown (lengths in um are then NaN). Raises ValueError as `Correlator` does.
-    """
-    shift = correlate(reference, moved, window)
-    um = math.nan if pitch is None else 1e3 * pitch
-    centres = {"reference": centre_of_gravity(reference), "moved": centre_of_gravity(moved)}
-    centres["shift"] = tuple(b - a for a, b in zip(centres["reference"], centres["moved"]))
-    sizes = speckle_size(reference)
-    return {
-        "shift_u_px": shift.u_px,
-        "shift_v_px": shift.v_px,
-        "shift_u_um": shift.u_px * um,
-        "shift_v_um": shift.v_px * um,
-        "ncc": shift.ncc,
-        "status": shift.status,
-        "message": shift.message,
-        "significance": shift.significance,
-        "window": list(shift.window),
-        **{f"cog_{name}_{axis}_um": c[i] * um for name, c in centres.items() for i, axis in enumerate("uv")},
-        "contrast_reference": contrast(reference),
-        "contrast_moved": contrast(moved),
-        "speckle_size_u_px": sizes[0],
-        "speckle_size_v_px": sizes[1],
-        "speckle_size_u_um": sizes[0] * um,
-        "speckle_size_v_um": sizes[1] * um,
-    }
-
-
-def _common_pitch(*headers: dict) -> float | None:
-    """Pixel pitch [mm] in the headers of field images, None if none has one. Raises ValueError if they differ."""
-    found = [header["pixel_pitch_mm"] for header in headers if "pixel_pitch_mm" in header]
-    for pitch in found:
-        if not isinstance(pitch, (int, float)) or not 0.0 < pitch < math.inf:
-            raise ValueError(f"pixel_pitch_mm = {pitch!r} in an image's header: must be a positive number")
-    if found and not math.isclose(min(found), max(found), rel_tol=1e-6):
-        raise ValueError(f"the images' pixel pitches differ: {min(found):g} and {max(found):g} mm")
-    return float(found[0]) if found else None
+from .measurement.compare import common_pitch, compare
 
 
 def main(argv: list[str] | None = None) -> int:
     """Print the comparison of two images as one JSON object."""
-    from .cli import parser
-    from .images import read_image
+    from .command_line import parser
+    from .images.pictures import read_image
 
     arguments_of = parser("correlate", "Shift of the speckle pattern between two images, as JSON on stdout.")
     kinds = "a field image, or any EXR, PNG, TIFF or JPEG"
@@ -73,7 +27,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments_of.add_argument("--window", type=int, metavar="PX", help=window_help)
     arguments = arguments_of.parse_args(argv)
     reference, moved = read_image(arguments.reference), read_image(arguments.moved)
-    pitch = _common_pitch(reference.header, moved.header)
+    pitch = common_pitch(reference.header, moved.header)
     result = compare(reference.intensity, moved.intensity, pitch, arguments.window)
     # JSON has no NaN.
     known = {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in result.items()}
@@ -82,6 +36,6 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from .cli import command
+    from .command_line import command
 
     raise SystemExit(command(main))

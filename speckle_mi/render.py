@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
-import zipfile
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
-import numpy as np
-
-from .cli import add_force, command, load_scene, say, scene_parser
-from .exr import read_header, write_field
-from .files import refuse_other_settings, replacing, require_distinct, require_output
-from .geometry import Pose
-from .memory import excess
-from .progress import progress_bars, tell
-
-BYTES_PER_LAYER = 24
-"""Memory of a pixel of one scatterer's field while it is being written: complex128 and its two float32 channels."""
+from .command_line import add_force, command, say, scene_parser
+from .field.sources import settings_of_sources, source_layers, write_sources
+from .geometry.pose import Pose
+from .images.exr import read_header, write_field
+from .machine.files import refuse_other_settings, require_distinct, require_output
+from .machine.progress import progress_bars
+from .scene.load import load_scene
 
 MAX_LAYERS = 1_000_000
 """Most fields of single scatterers in a file."""
@@ -53,8 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     require_distinct(SCENE=options.scene, output=options.output, sources=options.sources)
 
     scene = load_scene(options.scene, options.defaults, options.variant)
-    from .assembly import assembly_from_scene
-    from .simulate import simulate_frame
+    from .scene.assembly import assembly_from_scene
+    from .field.simulate import simulate_frame
 
     assembly = assembly_from_scene(scene, spp=options.spp)
     settings = {
@@ -91,24 +85,6 @@ def _pose(text: str) -> Pose:
     return Pose.parse(text)
 
 
-def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[str, np.ndarray]:
-    """Complex fields (rows, columns) of the first ``count`` scatterers alone, by the names of their layers.
-
-    Raises ValueError where they take more memory than the machine has.
-    """
-    from .simulate import field_of
-
-    asked, count = count, min(count, scatterers.count)
-    if too_much := excess(count * assembly.detector.size * BYTES_PER_LAYER):
-        raise ValueError(f"--per-source {asked}: the layers {too_much}")
-    digits = max(3, len(str(count)))
-    layers = {}
-    for number in range(count):
-        layers[f"source{number:0{digits}d}"] = field_of(assembly, scatterers.selected(np.array([number])), pose)
-        tell("layers", number + 1, count)
-    return layers
-
-
 def settings_of_image(path: str | os.PathLike, wanted: Iterable[str]) -> dict | None:
     """What an image says of the ``wanted`` settings; None where it is none of ours."""
     try:
@@ -116,37 +92,6 @@ def settings_of_image(path: str | os.PathLike, wanted: Iterable[str]) -> dict | 
     except ValueError:
         return None
     return {name: header.get(name) for name in wanted}
-
-
-def settings_of_sources(path: str | os.PathLike) -> object:
-    """The settings with which ``--sources`` wrote a file; None where it did not."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return json.loads(archive.comment)
-    except (OSError, ValueError, zipfile.BadZipFile):
-        return None
-
-
-def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict | None = None) -> None:
-    """Writes position, amplitude and pixel geometry, with which the field can be checked independently.
-
-    In free space without a lobe the field is the sum of ``amplitude * exp(i k r) / r`` over ``position`` exactly. The
-    settings stand in the archive's comment.
-    """
-    grid = assembly.detector
-    with replacing(path) as temporary, open(temporary, "w+b") as file:
-        np.savez(
-            file,
-            position=scatterers.position,
-            amplitude=scatterers.amplitude,
-            pixel_origin=grid.origin,
-            u=grid.u,
-            v=grid.v,
-            pitch=grid.pitch,
-            wavelength=assembly.beam.wavelength,
-        )
-        with zipfile.ZipFile(file, "a") as archive:
-            archive.comment = json.dumps(settings or {}).encode()
 
 
 if __name__ == "__main__":

@@ -7,101 +7,23 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from . import __version__
-from .cli import add_force, command, load_scene, say, scene_parser
-from .correlator import Correlator
-from .exr import FieldImage, FieldImageError, read_field, write_field
-from .files import refuse_other_settings, require_folder, write_json
-from .geometry import DEGREES_OF_FREEDOM, Pose, is_rotation
-from .interrupt import keeping
-from .progress import progress_bars
-from .statistics import centre_of_gravity, contrast
-
-_PENDING_WRITES = 8
-"""Frames that may wait to be written: bounds the memory they take."""
+from .command_line import add_force, command, say, scene_parser
+from .experiments.sweep import SweepResult, SweepSettings, frame_count, frames_of, run_sweep
+from .geometry.pose import DEGREES_OF_FREEDOM, Pose
+from .machine.files import refuse_other_settings, require_folder, write_json
+from .machine.interrupt import keeping
+from .scene.load import load_scene
 
 SMALLEST_RANGE = 1e-9
 """Least range of a sweep [mm or deg]: places hold fewer digits than a smaller one needs."""
 
 MAX_FRAMES = 1_000_000
 """Most frames of a sweep."""
-
-REFERENCE = "reference"
-"""``dof`` of the frames at rest in sweep.csv."""
-
-
-@dataclass(frozen=True)
-class SweepSettings:
-    """dofs: which motions; displacements: (n,) [mm or deg]; seeds: which surfaces; window: of the correlation [px]."""
-
-    dofs: tuple[str, ...]
-    displacements: np.ndarray
-    seeds: tuple[int, ...]
-    window: int | None
-
-
-@dataclass(frozen=True)
-class FrameRecord:
-    """What one frame gave: a row of sweep.csv. Shifts and centres of gravity [um], NaN where not measured."""
-
-    dof: str
-    displacement: float
-    unit: str
-    seed: int
-    shift_u_um: float
-    shift_v_um: float
-    shift_x_um: float
-    shift_y_um: float
-    ncc: float
-    cog_u_um: float
-    cog_v_um: float
-    contrast: float
-    seconds: float
-    status: str
-
-
-@dataclass
-class SweepResult:
-    """All frames of a sweep in the order they were made, and what was noticed on the way."""
-
-    records: list[FrameRecord] = field(default_factory=list)
-    plan: list[str] = field(default_factory=list)
-    numerical_error: float = 0.0
-    warnings: dict[str, int] = field(default_factory=dict)
-    example: np.ndarray | None = None
-    writes: list[Future] = field(default_factory=list)
-
-    def note(self, numerical_error: float, warnings: Iterable[str]) -> None:
-        """Takes account of what was noticed at one frame."""
-        self.numerical_error = max(self.numerical_error, numerical_error)
-        for warning in warnings:
-            self.warnings[warning] = self.warnings.get(warning, 0) + 1
-
-    def finished(self) -> list[FrameRecord]:
-        """The records whose images are on disk: the others are lost when the sweep ends here."""
-        whole = (write.done() and not write.cancelled() and write.exception() is None for write in self.writes)
-        return [record for record, is_whole in zip(self.records, whole) if is_whole]
-
-    def values(self, dof: str, name: str, settings: SweepSettings) -> np.ndarray:
-        """Column ``name`` of a motion's frames as (seeds, displacements), less the reference's for cog columns."""
-        seeds = {seed: row for row, seed in enumerate(settings.seeds)}
-        places = {displacement: column for column, displacement in enumerate(settings.displacements)}
-        table = np.full((len(seeds), len(places)), np.nan)
-        origin = np.zeros((len(seeds), 1))
-        for record in self.records:
-            row = seeds[record.seed]
-            if record.dof == dof:
-                table[row, places[record.displacement]] = getattr(record, name)
-            elif record.dof == REFERENCE and name.startswith("cog_"):
-                origin[row] = getattr(record, name)
-        return table - origin
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -110,8 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = _settings(options)
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
     scene = load_scene(options.scene, options.defaults, options.variant)
-    from . import report
-    from .assembly import assembly_from_scene
+    from .report import sweep_report as report
+    from .scene.assembly import assembly_from_scene
 
     assembly = assembly_from_scene(scene)
     settings = _with_seeds(settings, assembly.seed, options.seeds)
@@ -175,7 +97,7 @@ def _settings(options) -> SweepSettings:
         raise ValueError(f"--seeds {options.seeds}: must be at least 1")
     if options.window is not None and options.window < 4:
         raise ValueError(f"--window {options.window}: must be at least 4 px")
-    frames = _frame_count(options.seeds, len(dofs), options.steps)
+    frames = frames_of(options.seeds, len(dofs), options.steps)
     if frames > MAX_FRAMES:
         raise ValueError(
             f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, "
@@ -226,121 +148,6 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
         ):
             stale.unlink(missing_ok=True)
     write_json(settings_file, identity)
-
-
-def frame_count(settings: SweepSettings) -> int:
-    """Frames of a sweep, references included."""
-    return _frame_count(len(settings.seeds), len(settings.dofs), len(settings.displacements))
-
-
-def _frame_count(seeds: int, dofs: int, steps: int) -> int:
-    return seeds * (1 + dofs * steps)
-
-
-def run_sweep(
-    assembly, settings: SweepSettings, frames: Path, result: SweepResult, quiet: bool = False, resume: bool = False
-) -> None:
-    """Makes all frames of a sweep, adding to ``result`` as it goes and writing images beside the computation.
-
-    resume: takes the images that an interrupted sweep of the same settings has left; their records have no time.
-    """
-    with ThreadPoolExecutor(max_workers=1) as writer, progress_bars(quiet) as progress:
-        task = progress.add_task("frames", total=frame_count(settings))
-        writes = result.writes
-
-        def make(surface, pose: Pose, name: str) -> tuple[np.ndarray, float]:
-            """Intensity of a frame, and when it was begun (NaN for one that was there already)."""
-            start, path = time.perf_counter(), frames / f"{name}.exr"
-            image = _finished_image(path, surface, pose) if resume else None
-            if image is not None:
-                result.plan = result.plan or image.header["plan"].split("; ")
-                result.note(image.header["numerical_error"], filter(None, image.header["warnings"].split("; ")))
-                writes.append(Future())
-                writes[-1].set_result(None)
-                progress.advance(task)
-                return image.intensity, np.nan
-            frame = _simulated(surface, pose, result)
-            if len(writes) >= _PENDING_WRITES:
-                writes[-_PENDING_WRITES].result()
-            writes.append(writer.submit(write_field, path, frame.image))
-            progress.advance(task)
-            return frame.image.intensity, start
-
-        try:
-            for seed in settings.seeds:
-                _sweep_surface(assembly.with_seed(seed), seed, settings, result, make)
-            for write in writes:
-                write.result()
-        except BaseException:
-            # The disk is full, say: the frames that wait are not tried.
-            writer.shutdown(cancel_futures=True)
-            raise
-
-
-def _sweep_surface(assembly, seed: int, settings: SweepSettings, result: SweepResult, make) -> None:
-    """The reference and every displaced frame of one surface."""
-    reference, start = make(assembly, Pose(), f"seed{seed}_reference")
-    if result.example is None:
-        result.example = reference
-    correlator = Correlator(reference, settings.window)
-    result.records.append(_record(REFERENCE, 0.0, seed, correlator, reference, assembly, start))
-    for dof in settings.dofs:
-        for number, displacement in enumerate(settings.displacements):
-            image, start = make(assembly, Pose(**{dof: float(displacement)}), f"seed{seed}_{dof}_{number:03d}")
-            result.records.append(_record(dof, float(displacement), seed, correlator, image, assembly, start))
-
-
-def _finished_image(path: Path, assembly, pose: Pose) -> FieldImage | None:
-    """The image that an earlier run of the same version has left at ``path``; None where there is none that fits."""
-    wanted = {
-        "scene_hash": assembly.fingerprint(),
-        "seed": assembly.seed,
-        "pose": str(pose),
-        "version": __version__,
-    }
-    try:
-        image = read_field(path)
-    except FieldImageError:
-        return None
-    return image if wanted.items() <= image.header.items() else None
-
-
-def _simulated(assembly, pose: Pose, result: SweepResult):
-    from .simulate import simulate_frame
-
-    frame = simulate_frame(assembly, pose)
-    result.plan = result.plan or frame.plan
-    result.note(frame.numerical_error, frame.warnings)
-    return frame
-
-
-def _record(
-    dof: str, displacement: float, seed: int, correlator: Correlator, intensity: np.ndarray, assembly, start: float
-) -> FrameRecord:
-    from .theory import project_on_target
-
-    grid = assembly.detector
-    pixel = 1e3 * grid.pitch
-    shift = correlator.shift(intensity)
-    along = np.array([[shift.u_px], [shift.v_px]]) * pixel
-    x, y = project_on_target(along, grid.u, grid.v, assembly.target.frame.axes)[:, 0]
-    cog = np.array(centre_of_gravity(intensity)) * pixel
-    return FrameRecord(
-        dof=dof,
-        displacement=displacement,
-        unit="deg" if dof in DEGREES_OF_FREEDOM and is_rotation(dof) else "mm",
-        seed=seed,
-        shift_u_um=float(along[0, 0]),
-        shift_v_um=float(along[1, 0]),
-        shift_x_um=float(x),
-        shift_y_um=float(y),
-        ncc=shift.ncc,
-        cog_u_um=float(cog[0]),
-        cog_v_um=float(cog[1]),
-        contrast=contrast(intensity),
-        seconds=time.perf_counter() - start,
-        status=shift.status,
-    )
 
 
 if __name__ == "__main__":

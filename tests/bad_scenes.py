@@ -19,9 +19,9 @@ from scene_builder import (
     transform,
 )
 
-from speckle_mi.assembly import assembly_from_scene
-from speckle_mi.cli import one_line
-from speckle_mi.geometry import Frame
+from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.errors import one_line
+from speckle_mi.geometry.frames import Frame
 
 LONGEST_LINE = 400
 

@@ -33,7 +33,7 @@ def mitsuba():
     """Mitsuba with the default variant, set once, without its notes on monochrome films."""
     import mitsuba as mi
 
-    from speckle_mi.backend import set_variant
+    from speckle_mi.machine.backend import set_variant
 
     set_variant()
     mi.set_log_level(mi.LogLevel.Error)
@@ -49,7 +49,7 @@ def load(mitsuba):
 @pytest.fixture(scope="session")
 def assemble(mitsuba):
     """The assembly of a scene given as XML text."""
-    from speckle_mi.assembly import assembly_from_scene
+    from speckle_mi.scene.assembly import assembly_from_scene
 
     def assemble(text: str, spp: int = 0):
         return assembly_from_scene(mitsuba.load_string(text), spp=spp)
@@ -60,7 +60,7 @@ def assemble(mitsuba):
 @pytest.fixture(scope="session")
 def shipped(mitsuba):
     """The assembly of a scene in ``scenes/`` with values of its <default>s."""
-    from speckle_mi.assembly import assembly_from_scene
+    from speckle_mi.scene.assembly import assembly_from_scene
 
     def shipped(name: str, **defaults):
         values = {key: str(value) for key, value in defaults.items()}

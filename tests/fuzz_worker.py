@@ -31,8 +31,9 @@ def main(kind: str, examples: str, outcomes: str) -> None:
 
 
 def judge_scene(content: bytes, folder: Path) -> tuple[str, str]:
-    from speckle_mi.assembly import assembly_from_scene
-    from speckle_mi.cli import load_scene, one_line
+    from speckle_mi.scene.assembly import assembly_from_scene
+    from speckle_mi.scene.errors import one_line
+    from speckle_mi.scene.load import load_scene
 
     path = folder / "scene.xml"
     path.write_bytes(content)
@@ -46,7 +47,8 @@ def judge_scene(content: bytes, folder: Path) -> tuple[str, str]:
 
 
 def judge_exr(content: bytes, folder: Path) -> tuple[str, str]:
-    from speckle_mi.exr import FieldImageError, read_field
+    from speckle_mi.images.exr import read_field
+    from speckle_mi.images.field_image import FieldImageError
 
     path = folder / "image.exr"
     path.write_bytes(content)

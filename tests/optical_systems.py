@@ -5,8 +5,10 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 
-from speckle_mi.geometry import Frame, rotation_matrix
-from speckle_mi.optics.surfaces import Interaction, Sequence, Surface
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.rotation import rotation_matrix
+from speckle_mi.optics.sequence import Interaction, Sequence
+from speckle_mi.optics.surface import Surface
 
 WAVELENGTH = 632.8e-6  # mm
 PATH_TOLERANCE = 1e-7 * WAVELENGTH  # mm; about 500 units in the last place of a 0.2 m path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from speckle_mi.geometry import Frame
+from speckle_mi.geometry.frames import Frame
 
 WORLD = Frame(np.zeros(3), np.eye(3))
 

@@ -10,8 +10,9 @@ import pytest
 from bad_scenes import is_clear
 from conftest import SCENES
 
-from speckle_mi.cli import command
-from speckle_mi.exr import FieldImage, FieldImageError, read_field, write_field
+from speckle_mi.command_line import command
+from speckle_mi.images.exr import read_field, write_field
+from speckle_mi.images.field_image import FieldImage, FieldImageError
 
 SCENE = str(SCENES / "tilted_laser.xml")
 SMALL = ["-D", "width=24", "-D", "height=16", "-D", "pixel_pitch=0.03", "-D", "point_sources=20"]
@@ -320,7 +321,7 @@ def test_a_disk_that_fills_up_during_a_sweep_keeps_its_finished_frames_and_their
 
 
 def test_a_full_disk_leaves_the_old_table(run, tmp_path, monkeypatch):
-    from speckle_mi.files import write_json
+    from speckle_mi.machine.files import write_json
 
     path = tmp_path / "summary.json"
     write_json(path, {"a": 1})

@@ -8,11 +8,12 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from speckle_mi.benchmark import FRESNEL_EPS, QUICK_SCATTERERS, fresnel_sum, main, numba_sum, numpy_sum
-from speckle_mi.benchmark_tables import COSTS
-from speckle_mi.geometry import PlaneGrid
-from speckle_mi.propagation import FreeSpace
-from speckle_mi.propagation.machine import Costs
+from speckle_mi.benchmark import QUICK_SCATTERERS, main
+from speckle_mi.validation.benchmark.peers import FRESNEL_EPS, fresnel_sum, numba_sum, numpy_sum
+from speckle_mi.validation.benchmark.tables import COSTS
+from speckle_mi.geometry.plane import PlaneGrid
+from speckle_mi.propagation.paths import FreeSpace
+from speckle_mi.propagation.costs import Costs
 from speckle_mi.propagation.reference import reference_sum
 
 WAVELENGTH = 632.8e-6

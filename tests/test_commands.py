@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import SCENES
 
-from speckle_mi.exr import read_field
+from speckle_mi.images.exr import read_field
 
 SCENE = str(SCENES / "tilted_laser.xml")
 SMALL = [
@@ -267,7 +267,7 @@ def test_sweep_summary_says_what_was_found(swept):
 
 def test_sweep_table_agrees_with_correlating_its_frames(swept):
     out, _ = swept
-    from speckle_mi.correlate import compare
+    from speckle_mi.measurement.compare import compare
 
     with open(out / "sweep.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

@@ -11,7 +11,7 @@ import pytest
 from conftest import SCENES
 
 from speckle_mi.converge import main
-from speckle_mi.convergence_frame import (
+from speckle_mi.validation.convergence.frame import (
     DOES_NOT_APPLY,
     LEFT_OUT,
     MEASURED,
@@ -20,9 +20,9 @@ from speckle_mi.convergence_frame import (
     exact_sample,
     with_point_sources,
 )
-from speckle_mi.convergence_scatter import Scatter
-from speckle_mi.geometry import Pose
-from speckle_mi.simulate import simulate_frame
+from speckle_mi.validation.convergence.scatter import Scatter
+from speckle_mi.geometry.pose import Pose
+from speckle_mi.field.simulate import simulate_frame
 
 SMALL = ["-D", "width=64", "-D", "height=48", "-D", "pixel_pitch=0.03", "-D", "beam_radius=0.2"]
 AMPLE = "600"

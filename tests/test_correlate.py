@@ -14,8 +14,12 @@ from skimage.feature import match_template
 from skimage.registration import phase_cross_correlation
 from test_statistics import gaussian_speckle, speckle_pair
 
-from speckle_mi.correlate import Correlator, centre_of_gravity, compare, correlate, main
-from speckle_mi.exr import FieldImage, write_field
+from speckle_mi.correlate import main
+from speckle_mi.measurement.compare import compare
+from speckle_mi.measurement.correlator import Correlator, correlate
+from speckle_mi.measurement.speckle_statistics import centre_of_gravity
+from speckle_mi.images.exr import write_field
+from speckle_mi.images.field_image import FieldImage
 
 BIAS = 0.005
 """Largest error [px] for exactly shifted speckle in a 256 px window: half of what a sensor designer is promised."""

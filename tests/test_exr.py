@@ -9,7 +9,8 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from speckle_mi.exr import FieldImage, FieldImageError, read_field, write_field
+from speckle_mi.images.exr import read_field, write_field
+from speckle_mi.images.field_image import FieldImage, FieldImageError
 
 ROWS, COLUMNS = 24, 40
 
@@ -77,8 +78,8 @@ def test_mitsuba_opens_it_and_shows_the_intensity(mitsuba, written):
 
 
 def test_header_of_a_rendered_frame_says_what_it_is(shipped, tmp_path):
-    from speckle_mi.geometry import Pose
-    from speckle_mi.simulate import simulate
+    from speckle_mi.geometry.pose import Pose
+    from speckle_mi.field.simulate import simulate
 
     assembly = shipped("both_tilted", width=32, height=16, seed=3, method="direct")
     rendered = simulate(assembly, Pose(x=0.02, rz=-0.01))

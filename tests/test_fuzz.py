@@ -17,7 +17,8 @@ from bad_scenes import PARTS, scene_with
 from hypothesis import HealthCheck, given, seed, settings
 from hypothesis import strategies as st
 
-from speckle_mi.exr import FieldImage, write_field
+from speckle_mi.images.exr import write_field
+from speckle_mi.images.field_image import FieldImage
 
 WORKER = Path(__file__).with_name("fuzz_worker.py")
 BATCH = 250

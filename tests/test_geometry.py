@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from speckle_mi.geometry import Frame, PlaneGrid, Pose, cross_matrix, rotation_matrix, vectors_across
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.plane import PlaneGrid
+from speckle_mi.geometry.pose import Pose
+from speckle_mi.geometry.rotation import cross_matrix, rotation_matrix, vectors_across
 
 ROUNDING = 1e-14  # A few units in the last place of numbers of order one.
 PLACE = 1e-13  # mm; the same of coordinates of some 10 mm.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scene_builder import direction
 
-from speckle_mi.illumination import Beam
+from speckle_mi.scattering.beam import Beam
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
 

@@ -9,9 +9,9 @@ import pytest
 from bad_scenes import is_clear
 from test_statistics import speckle_pair
 
-from speckle_mi.correlate import correlate
-from speckle_mi.exr import FieldImageError
-from speckle_mi.images import read_image
+from speckle_mi.measurement.correlator import correlate
+from speckle_mi.images.field_image import FieldImageError
+from speckle_mi.images.pictures import read_image
 
 SHIFT = (4.0, -3.0)
 ROUNDED = {"png": 0.01, "tif": 0.01, "jpg": 0.05}

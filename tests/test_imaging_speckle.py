@@ -8,11 +8,13 @@ from exact_optics import bench, diffracted, disc_nodes, element_xml, fermat, len
 from scene_builder import detector_frame, direction
 
 from speckle_mi import theory
-from speckle_mi.correlate import Correlator, centre_of_gravity
-from speckle_mi.geometry import Frame, Pose
-from speckle_mi.paraxial import entrance_pupil, system_matrix
-from speckle_mi.sensitivity import fit_sensitivity
-from speckle_mi.simulate import simulate, simulate_frame
+from speckle_mi.measurement.correlator import Correlator
+from speckle_mi.measurement.speckle_statistics import centre_of_gravity
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.pose import Pose
+from speckle_mi.theory.paraxial import entrance_pupil, system_matrix
+from speckle_mi.measurement.sensitivity import fit_sensitivity
+from speckle_mi.field.simulate import simulate, simulate_frame
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH

@@ -15,25 +15,25 @@ import pytest
 from conftest import SCENES
 from test_commands import SMALL, run
 
-from speckle_mi.exr import read_field
-from speckle_mi.interrupt import INTERRUPTED, is_command
+from speckle_mi.images.exr import read_field
+from speckle_mi.machine.interrupt import INTERRUPTED, is_command
 
 SCENE = str(SCENES / "tilted_laser.xml")
 SWEEP = ["--dof", "x,ry", "--range", "0.02", "--steps", "3", "--seeds", "2", "--out", "out", "--quiet", *SMALL]
 
 INTERRUPTS_ITSELF = """
 import os, signal, sys
-import speckle_mi.cli, speckle_mi.files
-from speckle_mi.interrupt import keeping, scratch_folder
+import speckle_mi.command_line, speckle_mi.machine.files
+from speckle_mi.machine.interrupt import keeping, scratch_folder
 def main(arguments):
     with keeping(lambda: open("kept", "w").close()), scratch_folder() as folder:
-        with speckle_mi.files.replacing("result.txt") as path:
+        with speckle_mi.machine.files.replacing("result.txt") as path:
             path.write_text("half")
             assert len(os.listdir()) == 1 and folder.is_dir()
             print(folder, flush=True)
             os.kill(os.getpid(), signal.{stop})
             {waits}
-sys.exit(speckle_mi.cli.command(main, []))
+sys.exit(speckle_mi.command_line.command(main, []))
 """
 WAITS = {
     "in Python": "while True: pass",
@@ -65,7 +65,7 @@ def test_a_command_that_is_still_being_imported_ends_in_one_line(tmp_path, stop)
         "import os, runpy, sys\n"
         "class Stops:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name == 'speckle_mi.llvm': os.kill(os.getpid(), {int(stop)})\n"
+        f"        if name == 'speckle_mi.machine.llvm': os.kill(os.getpid(), {int(stop)})\n"
         "sys.meta_path.insert(0, Stops())\n"
         "sys.argv[0], sys.orig_argv = '-m', ['python', '-m', 'speckle_mi.render']\n"
         "runpy.run_module('speckle_mi.render', run_name='__main__')\n"

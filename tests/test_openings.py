@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import fresnel, j0, j1, roots_legendre
 
-from speckle_mi.geometry import Frame, PlanePoints, rotation_matrix
-from speckle_mi.openings import opening_nodes, star_nodes
-from speckle_mi.optics.surfaces import Circle, Rectangle
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.plane import PlanePoints
+from speckle_mi.geometry.rotation import rotation_matrix
+from speckle_mi.propagation.opening_quadrature import opening_nodes, star_nodes
+from speckle_mi.geometry.outline import Circle, Rectangle
 from speckle_mi.propagation.paths import RayleighSommerfeld
 from speckle_mi.propagation.reference import reference_sum
 

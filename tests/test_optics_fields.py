@@ -8,11 +8,12 @@ from exact_optics import diffracted, disc_nodes, spherical
 from numpy.polynomial.legendre import leggauss
 from scipy.optimize import brentq
 
-from speckle_mi import simulate as simulation
-from speckle_mi.correlate import Correlator, centre_of_gravity
-from speckle_mi.expectation import expected_sensitivity
-from speckle_mi.geometry import Pose
-from speckle_mi.simulate import plan_of, simulate, simulate_frame
+from speckle_mi.field import simulate as simulation
+from speckle_mi.measurement.correlator import Correlator
+from speckle_mi.measurement.speckle_statistics import centre_of_gravity
+from speckle_mi.experiments.expectation import expected_sensitivity
+from speckle_mi.geometry.pose import Pose
+from speckle_mi.field.simulate import plan_of, simulate, simulate_frame
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH
@@ -208,7 +209,7 @@ def test_image_of_a_point_is_the_huygens_sum_over_the_pupil(assemble, tmp_path, 
 
 
 def test_free_space_launches_no_ray(shipped, monkeypatch):
-    from speckle_mi import plan
+    from speckle_mi.plan import plan
 
     monkeypatch.setattr(plan, "find_routes", lambda *_: pytest.fail("a ray was launched"))
     monkeypatch.setattr(simulation, "_plans", {})
@@ -330,7 +331,7 @@ def test_every_shipped_scene_has_a_plan(shipped):
 
 
 def test_tilt_decorrelates_an_image_as_the_pupils_overlap(shipped):
-    from speckle_mi.expectation import expected_correlation
+    from speckle_mi.experiments.expectation import expected_correlation
 
     # Enough scatterers for several in each resolution cell of the lens, or the image shows single points.
     assembly = shipped("imaging", beam_radius=0.4, point_sources=12000)

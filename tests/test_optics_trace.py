@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from optical_systems import INDEX, PATH_TOLERANCE, SYSTEMS, ball, frame, lens, mp_trace, plane
 
-from speckle_mi.geometry import Frame
+from speckle_mi.geometry.frames import Frame
 from speckle_mi.optics.aim import aim
-from speckle_mi.optics.surfaces import Circle, Interaction, Rectangle, Sequence, Surface
+from speckle_mi.geometry.outline import Circle, Rectangle
+from speckle_mi.optics.sequence import Interaction, Sequence
+from speckle_mi.optics.surface import Surface
 from speckle_mi.optics.trace import RayStatus, march, trace
 
 POINT_TOLERANCE = 1e-12  # mm; a few roundings of coordinates of some 100 mm

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from speckle_mi import paraxial
+from speckle_mi.theory import paraxial
 
 BICONVEX = [(1 / 50, 5.0, 1.5151), (-1 / 50, 0.0, 1.0)]
 

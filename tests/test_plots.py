@@ -12,8 +12,8 @@ import pytest
 from matplotlib.colors import to_hex
 from matplotlib.image import imread
 
-from speckle_mi import plots
-from speckle_mi.sensitivity import fit_sensitivity
+from speckle_mi.report import plots
+from speckle_mi.measurement.sensitivity import fit_sensitivity
 
 STEPS = np.linspace(-0.1, 0.1, 10)
 SLOPE = 0.9

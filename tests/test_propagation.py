@@ -8,8 +8,9 @@ import mpmath
 import numpy as np
 import pytest
 
-from speckle_mi.geometry import PlaneGrid, PlanePoints
-from speckle_mi.propagation import FreeSpace, RayleighSommerfeld, direct, runs
+from speckle_mi.geometry.plane import PlaneGrid, PlanePoints
+from speckle_mi.propagation import direct, runs
+from speckle_mi.propagation.paths import FreeSpace, RayleighSommerfeld
 from speckle_mi.propagation.direct import direct_sum
 from speckle_mi.propagation.reference import reference_sum
 

@@ -6,8 +6,9 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from speckle_mi.geometry import PlaneGrid, PlanePoints
-from speckle_mi.propagation import FreeSpace, coherent_sum
+from speckle_mi.geometry.plane import PlaneGrid, PlanePoints
+from speckle_mi.propagation.coherent_sum import coherent_sum
+from speckle_mi.propagation.paths import FreeSpace
 from speckle_mi.propagation.bandlimited import node_grid, reach_of
 from speckle_mi.propagation.chebyshev import (
     TensorSeries,
@@ -19,7 +20,7 @@ from speckle_mi.propagation.chebyshev import (
 from speckle_mi.propagation.interpolated import interpolated
 from speckle_mi.propagation.lowrank import expand, low_rank_sum
 from speckle_mi.propagation.reference import reference_sum
-from speckle_mi.propagation.sources import SourceBox
+from speckle_mi.propagation.source_box import SourceBox
 
 WAVELENGTH = 632.8e-6
 CHECKED_POINTS = 60

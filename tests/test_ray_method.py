@@ -5,14 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from speckle_mi.geometry import Frame, PlaneGrid
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.plane import PlaneGrid
 from speckle_mi.optics.aim import aim
-from speckle_mi.optics.path import TracedPath
-from speckle_mi.optics.surfaces import Circle, Interaction, Sequence, Surface
+from speckle_mi.optics.traced_path import TracedPath
+from speckle_mi.geometry.outline import Circle
+from speckle_mi.optics.sequence import Interaction, Sequence
+from speckle_mi.optics.surface import Surface
 from speckle_mi.optics.trace import RayStatus
 from speckle_mi.propagation.paths import FreeSpace
 from speckle_mi.propagation.reference import reference_sum
-from speckle_mi.ray_method import ray_field
+from speckle_mi.field.ray_method import ray_field
 
 WAVELENGTH = 632.8e-6  # mm
 INDEX = 1.5151

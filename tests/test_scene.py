@@ -20,11 +20,12 @@ from scene_builder import (
     transform,
 )
 
-from speckle_mi import llvm
-from speckle_mi.assembly import assembly_from_scene
-from speckle_mi.cli import one_line
-from speckle_mi.geometry import Frame, Pose
-from speckle_mi.simulate import simulate
+from speckle_mi.machine import llvm
+from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.errors import one_line
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.pose import Pose
+from speckle_mi.field.simulate import simulate
 
 ABOVE = frame_along(-direction(0), 50 * direction(0), np.array([1.0, 0, 0]))
 CAMERA = detector_frame(direction(0), 60.0)
@@ -238,7 +239,7 @@ def test_the_users_own_llvm_is_left_in_place(tmp_path):
 
 
 def test_an_unknown_variant_is_refused_with_the_alternatives(mitsuba):
-    from speckle_mi.backend import set_variant
+    from speckle_mi.machine.backend import set_variant
 
     for name in ("llvm_ad_rgb", "scalar_rgb", "nonsense"):
         with pytest.raises(ValueError, match="llvm_ad_mono"):

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from speckle_mi.sensitivity import Sensitivity, fit_sensitivity, shift_weights
-from speckle_mi.theory import decorrelation_in_plane, shift_scatter
+from speckle_mi.measurement.sensitivity import Sensitivity, fit_sensitivity, shift_weights
+from speckle_mi.theory.decorrelation import decorrelation_in_plane
+from speckle_mi.theory.speckle import shift_scatter
 
 STEPS = np.linspace(-0.1, 0.1, 10)
 SLOPE = 0.946  # mm/mm

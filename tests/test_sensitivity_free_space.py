@@ -14,10 +14,12 @@ from scene_builder import WORLD, direction, free_space, transform
 from scipy import stats
 
 from speckle_mi import theory
-from speckle_mi.correlate import Correlator
-from speckle_mi.geometry import DEGREES_OF_FREEDOM, Frame, Pose, is_rotation, rotation_matrix
-from speckle_mi.simulate import simulate
-from speckle_mi.statistics import contrast, speckle_size
+from speckle_mi.measurement.correlator import Correlator
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
+from speckle_mi.geometry.rotation import rotation_matrix
+from speckle_mi.field.simulate import simulate
+from speckle_mi.measurement.speckle_statistics import contrast, speckle_size
 
 FIRST_ORDER = json.loads((Path(__file__).parent / "reference" / "first_order.json").read_text())["cases"]
 

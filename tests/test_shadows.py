@@ -23,10 +23,10 @@ from exact_optics import (
 from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 
-from speckle_mi import fields
-from speckle_mi.geometry import Frame
-from speckle_mi.parameters import SceneError
-from speckle_mi.simulate import simulate_frame
+from speckle_mi.field import stages as fields
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.field.simulate import simulate_frame
 
 WAVELENGTH = 632.8e-6
 FIELD = 1e-5  # Relative L2 over the pixels that are clear of a shadow's edge by more than the next figure.

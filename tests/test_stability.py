@@ -15,7 +15,7 @@ FEWEST_CHECKS = 120
 @pytest.fixture(scope="module")
 def catalogue(mitsuba):
     """Every check of the quick catalogue."""
-    from speckle_mi.stability.__main__ import catalogue
+    from speckle_mi.validation.stability.catalogue import catalogue
 
     return list(catalogue(quick=True))
 
@@ -40,8 +40,8 @@ def test_every_limit_has_a_message_of_one_line(catalogue):
 def test_the_catalogue_writes_its_table_and_tells_a_broken_bound_by_its_status(
     catalogue, tmp_path, monkeypatch, capsys
 ):
-    from speckle_mi.stability import __main__ as stability
-    from speckle_mi.stability.case import Check, within
+    from speckle_mi import stability
+    from speckle_mi.validation.stability.case import Check, within
 
     monkeypatch.setattr(stability, "catalogue", lambda *_, **__: iter(catalogue[:3]))
     assert stability.main(["--out", str(tmp_path / "out")]) == 0
@@ -57,7 +57,7 @@ def test_the_catalogue_writes_its_table_and_tells_a_broken_bound_by_its_status(
 
 
 def test_a_case_that_fails_in_an_unexpected_way_is_broken_and_does_not_stop_the_others():
-    from speckle_mi.stability.case import Case, checks_of
+    from speckle_mi.validation.stability.case import Case, checks_of
 
     def falls_over(quick):
         yield from ()
@@ -68,6 +68,6 @@ def test_a_case_that_fails_in_an_unexpected_way_is_broken_and_does_not_stop_the_
 
 
 def test_not_a_number_breaks_a_bound():
-    from speckle_mi.stability.case import compared
+    from speckle_mi.validation.stability.case import compared
 
     assert compared("made up", "value", float("nan"), 1.0, 1e9).verdict == "broken"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import fft
 
-from speckle_mi.statistics import autocovariance, contrast, speckle_count, speckle_size
+from speckle_mi.measurement.speckle_statistics import autocovariance, contrast, speckle_count, speckle_size
 
 SIGMAS = 4.0
 """Statistical tolerances are this many standard errors; the seeds are fixed."""

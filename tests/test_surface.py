@@ -12,10 +12,13 @@ from scene_builder import (
 from scipy import stats
 from scipy.spatial import cKDTree
 
-from speckle_mi.geometry import Frame, Pose, rotation_matrix
-from speckle_mi.illumination import Beam
-from speckle_mi.simulate import simulate, simulate_frame
-from speckle_mi.surface import Facets, RoughSurface, illuminated_scatterers
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.pose import Pose
+from speckle_mi.geometry.rotation import rotation_matrix
+from speckle_mi.scattering.beam import Beam
+from speckle_mi.field.simulate import simulate, simulate_frame
+from speckle_mi.scattering.facets import Facets
+from speckle_mi.scattering.rough_surface import RoughSurface, illuminated_scatterers
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
 

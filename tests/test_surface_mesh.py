@@ -19,8 +19,9 @@ from scene_builder import (
 from scipy import stats
 from scipy.spatial import cKDTree
 
-from speckle_mi.geometry import Frame, Pose
-from speckle_mi.simulate import simulate_frame
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.pose import Pose
+from speckle_mi.field.simulate import simulate_frame
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
 

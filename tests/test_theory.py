@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from speckle_mi import theory
-from speckle_mi.geometry import DEGREES_OF_FREEDOM, Frame, Pose, is_rotation, rotation_matrix
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
+from speckle_mi.geometry.rotation import rotation_matrix
 
 REFERENCE = Path(__file__).parent / "reference"
 FIRST_ORDER = json.loads((REFERENCE / "first_order.json").read_text())["cases"]

@@ -24,10 +24,12 @@ from exact_optics import (
 )
 from scene_builder import frame_along
 
-from speckle_mi.geometry import Frame, PlaneGrid
-from speckle_mi.propagation import FreeSpace, RayleighSommerfeld, coherent_sum
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.plane import PlaneGrid
+from speckle_mi.propagation.coherent_sum import coherent_sum
+from speckle_mi.propagation.paths import FreeSpace, RayleighSommerfeld
 from speckle_mi.propagation.reference import reference_sum
-from speckle_mi.simulate import simulate_frame
+from speckle_mi.field.simulate import simulate_frame
 
 CHECKED_POINTS = 40
 FREE, MIRRORS, LENSES, OPENINGS = 150, 30, 30, 30

@@ -1,1 +1,1 @@
-"""Geometrical optics of the way from target to detector: surfaces, exact tracing, ray aiming, interpolated paths."""
+"""Optical surfaces, exact ray tracing and ray aiming in float64."""

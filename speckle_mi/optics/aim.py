@@ -17,28 +17,38 @@ from functools import partial
 
 import numpy as np
 
-from .surfaces import Sequence, dot
+from .sequence import Sequence
+from .surface import dot
 from .trace import Log, RayStatus, march, paired_rows, tube_at_end, zeros_between
 
 TARGET_TOLERANCE = 1e-8
 """Distance [mm] from ray to target that counts as hit. The path length is corrected for it to first order, so what is
 left of it in the path is its square over the wavefront's radius."""
+
 NEWTON_GOAL = 1e-7
 """Miss [mm] from which one more Newton step ends far below ``TARGET_TOLERANCE``."""
+
 PLANE_TOLERANCE = 1e-6
 """Distance [mm] that a target may lie off the last plane by rounding; also corrected for."""
+
 MAXIMUM_STEP = 0.3
 """Largest change of the launch direction [rad] in one Newton step."""
+
 MAXIMUM_ITERATIONS = 40
+
 CONTRACTION, CONTRACTING_ITERATIONS = 0.5, 12
 """Largest ratio of a Newton step to the one before with which the iteration is trusted to end at the root next to its
 start. Natural monotonicity test: P. Deuflhard, "Newton Methods for Nonlinear Problems", Springer 2004, section 2.1."""
+
 FIRST_STAGE, LAST_STAGE = 0.25, 2.0**-8
 """Part of the way from the chief ray's ends to a ray's own that continuation tries first, and the one at which it gives
 up: the branch has ended in a fold."""
+
 SEARCH_ANGLES = np.array([0.01, 0.03, 0.1, 0.3, 0.8])
+
 PROBE_ANGLES = np.geomspace(1e-3, 0.8, 14)
 """Angles [rad] to the direction of the first vertex at which a search starts, and at which is looked for free rays."""
+
 SEARCH_BATCH = 1000
 """Targets searched at once, to bound the memory."""
 

@@ -16,7 +16,8 @@ from enum import IntEnum
 
 import numpy as np
 
-from .surfaces import Interaction, Sequence, dot
+from .sequence import Interaction, Sequence
+from .surface import dot
 
 BEHIND_TOLERANCE = 1e-9
 """A surface this far behind the ray's start [mm] still counts as met: a source may lie on it, rounded."""

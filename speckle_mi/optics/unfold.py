@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from speckle_mi.geometry import Frame, PlaneGrid
-from .surfaces import Interaction, Surface
+from ..geometry.frames import Frame
+from ..geometry.plane import PlaneGrid
+from .sequence import Interaction
+from .surface import Surface
 
 
 def unfold(interactions: tuple[Interaction, ...], grid: PlaneGrid) -> tuple[tuple[Interaction, ...], PlaneGrid]:

@@ -15,15 +15,15 @@ import drjit as dr
 import numpy as np
 from scipy.special import jv
 
-from ..backend import arrays
-from ..cores import equal_slices, on_all_cores, usable_cores
-from ..geometry import PlaneGrid, PlanePoints
+from ..geometry.plane import PlaneGrid, PlanePoints
+from ..machine.backend import arrays
+from ..machine.cores import equal_slices, on_all_cores, usable_cores
+from .area import Area
 from .chebyshev import chebyshev_nodes, interpolation_matrix
-from .device import WRITE, phasor
 from .direct import SINGLE_PRECISION, supports
 from .paths import Path
-from .plane import Rectangle
-from .sources import SourceBox, for_chunks
+from .phasors import WRITE, phasor
+from .source_box import SourceBox, for_chunks
 
 PROBES = 17
 """Places along each side of the target where the local bandwidth is measured."""
@@ -123,7 +123,7 @@ def _slope_directions(path: Path, box: SourceBox, target: PlaneGrid | PlanePoint
     middles = np.array([(0.0, 0.0), (-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
     steps = 0.04 * np.array([[(-1.0, 0.0), (1.0, 0.0)], [(0.0, -1.0), (0.0, 1.0)]])
     places = (middles[:, None, None] + steps).reshape(-1, 2)
-    length = path(faces, Rectangle.around(target).points(target, places).points())[0].reshape(6, -1, 2)
+    length = path(faces, Area.around(target).points(target, places).points())[0].reshape(6, -1, 2)
     slope = length[..., 1] - length[..., 0]
     directions = (slope[:3] - slope[3:]).T
     norm = np.linalg.norm(directions, axis=1)
@@ -133,7 +133,7 @@ def _slope_directions(path: Path, box: SourceBox, target: PlaneGrid | PlanePoint
 
 
 def local_bandwidth(
-    path: Path, box: np.ndarray, target: PlaneGrid | PlanePoints, rectangle: Rectangle, wavelength: float
+    path: Path, box: np.ndarray, target: PlaneGrid | PlanePoints, rectangle: Area, wavelength: float
 ) -> tuple[float, float]:
     """Largest |d/du [V(P, D) - V(P0, D)]|/lambda and the same along v [turns/mm], P0 = box[0], P in box[1:]."""
     a = np.linspace(*rectangle.a, PROBES)
@@ -155,7 +155,7 @@ class NodeGrid:
     """Tensor Chebyshev nodes on a rectangle of the target, ``count`` = (along u, along v)."""
 
     count: tuple[int, int]
-    rectangle: Rectangle
+    rectangle: Area
 
     @property
     def size(self) -> int:
@@ -171,7 +171,7 @@ def node_grid(
     path: Path, reach: Reach, target: PlaneGrid | PlanePoints, wavelength: float, tolerance: float
 ) -> NodeGrid:
     """Nodes that carry the field of sources of that reach to the relative L2 ``tolerance``."""
-    rectangle = Rectangle.around(target)
+    rectangle = Area.around(target)
     bandwidth = local_bandwidth(path, reach.bounds, target, rectangle, wavelength)
     count = tuple(
         nodes_for(_upward(rate * (side[1] - side[0]) / 2), power, tolerance) if side[1] > side[0] else 1

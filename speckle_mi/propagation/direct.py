@@ -21,11 +21,11 @@ from types import ModuleType
 import drjit as dr
 import numpy as np
 
-from ..backend import arrays
-from ..geometry import PlaneGrid, PlanePoints
-from ..progress import tell
-from .device import COSINE, SINE, WRITE, inverse_root, multiply, phasor, sine_cosine
+from ..geometry.plane import PlaneGrid, PlanePoints
+from ..machine.backend import arrays
+from ..machine.progress import tell
 from .paths import FreeSpace, RayleighSommerfeld
+from .phasors import COSINE, SINE, WRITE, inverse_root, multiply, phasor, sine_cosine
 from .runs import Extent, choose_run
 
 BLOCK = 32

@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry import PlaneGrid, PlanePoints
+from ..geometry.plane import PlaneGrid, PlanePoints
+from .area import Area
 from .chebyshev import TensorSeries, axis_tails, tensor_coefficients, tensor_nodes
 from .paths import Path
-from .plane import Rectangle
-from .sources import SourceBox
+from .source_box import SourceBox
 
 FIRST_ORDERS = (5, 5, 2, 5, 5)
 """Nodes tried first: three dimensions of the source box, two sides of the target."""
@@ -36,7 +36,7 @@ class InterpolatedPath:
 
     box: SourceBox
     target: PlaneGrid | PlanePoints
-    rectangle: Rectangle
+    rectangle: Area
     source_index: np.ndarray
     target_series: TensorSeries
     real: bool
@@ -55,7 +55,7 @@ def interpolated(
     path: Path, box: SourceBox, target: PlaneGrid | PlanePoints, wavelength: float, tolerance: float
 ) -> InterpolatedPath | None:
     """Series of the path to ``tolerance`` in phase [rad] and relative amplitude; None where it takes too many nodes."""
-    rectangle = Rectangle.around(target)
+    rectangle = Area.around(target)
     sides = (rectangle.a, rectangle.b)
     orders = [order if half > 0 else 1 for order, half in zip(FIRST_ORDERS, box.half, strict=False)]
     orders += [order if side[1] > side[0] else 1 for order, side in zip(FIRST_ORDERS[3:], sides, strict=True)]

@@ -21,12 +21,12 @@ from dataclasses import dataclass
 import finufft
 import numpy as np
 
-from ..cores import equal_slices, on_all_cores, usable_cores
-from ..geometry import PlaneGrid, PlanePoints
+from ..geometry.plane import PlaneGrid, PlanePoints
+from ..machine.cores import equal_slices, on_all_cores, usable_cores
+from .area import Area
 from .chebyshev import TensorSeries, axis_tails, interpolation_matrix, tensor_coefficients, tensor_nodes
 from .paths import Path
-from .plane import Rectangle
-from .sources import SourceBox, chunks, for_chunks
+from .source_box import SourceBox, chunks, for_chunks
 
 FIRST_ORDERS = (5, 5, 3)
 """Nodes tried first along the source box; target's two sides start from the first of them."""
@@ -69,7 +69,7 @@ class LowRank:
 
     path: Path
     box: SourceBox
-    rectangle: Rectangle
+    rectangle: Area
     wavelength: float
     middle: np.ndarray
     target_series: TensorSeries
@@ -100,7 +100,7 @@ def expand(
     largest_table: int = LARGEST_TABLE,
 ) -> LowRank | None:
     """Expansion to relative L2 ``tolerance``, or None where it takes more node pairs than ``largest_table``."""
-    rectangle = Rectangle.around(target)
+    rectangle = Area.around(target)
     middle = rectangle.points(target, np.zeros((1, 2))).points()
     orders = [FIRST_ORDERS[i] if box.half[i] > 0 else 1 for i in range(3)]
     orders += [FIRST_ORDERS[0] if side[1] > side[0] else 1 for side in rectangle.sides]
@@ -210,7 +210,7 @@ def _mixed_path(
     path: Path,
     box: SourceBox,
     target: PlaneGrid | PlanePoints,
-    rectangle: Rectangle,
+    rectangle: Area,
     nodes: np.ndarray,
     places: np.ndarray,
     middle: np.ndarray,

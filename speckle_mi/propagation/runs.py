@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..geometry import PlaneGrid, PlanePoints
-from .sources import for_chunks
+from ..geometry.plane import PlaneGrid, PlanePoints
+from .source_box import for_chunks
 
 RUN_LENGTHS = (16, 8)
 """Pixels a lane owns along a row, preferred first (even numbers)."""

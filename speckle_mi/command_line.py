@@ -1,0 +1,123 @@
+"""What the commands share: flags, loading a scene, and errors as one line with an exit status."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import traceback
+import warnings
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from .machine import interrupt
+from .scene.errors import one_line
+
+DONE, BAD_INPUT = 0, 2
+
+
+def command(main: Callable[[Sequence[str] | None], int | None], arguments: Sequence[str] | None = None) -> int:
+    """Runs a command's ``main`` and returns its exit status.
+
+    Bad input (ValueError, OSError, Mitsuba's RuntimeError) becomes one line on stderr and status 2; with ``--debug``
+    the traceback is shown as well. An interrupt ends the process with status 130.
+    """
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    began = interrupt.listen()
+    try:
+        with warnings.catch_warnings():
+            if "--debug" not in arguments:
+                warnings.simplefilter("ignore")  # libraries warn of what their callers handle; users cannot act on it
+            status = main(arguments) or DONE
+        sys.stdout.flush()
+        return status
+    except BrokenPipeError:
+        # The reader of our output has gone; nothing more can be said on it.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+    except (ValueError, OSError, RuntimeError, MemoryError) as error:
+        if "--debug" in arguments:
+            traceback.print_exc()
+        print(f"error: {one_line(error)}", file=sys.stderr)
+        return BAD_INPUT
+    finally:
+        if began:
+            interrupt.stop_listening()
+        else:
+            interrupt.ignore()
+
+
+class _Once(argparse.Action):
+    """Stores a flag's value; refuses a second one, which would silently take the place of the first."""
+
+    is_given = False
+
+    def __call__(self, parser, namespace, values, option_string=None) -> None:
+        if self.is_given:
+            raise argparse.ArgumentError(self, "is given twice, must be given once")
+        self.is_given = True
+        setattr(namespace, self.dest, values)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose errors are ValueErrors of one line, as those of everything after it."""
+
+    def __init__(self, *arguments, **named) -> None:
+        super().__init__(*arguments, **named)
+        for name in (None, "store"):
+            self.register("action", name, _Once)
+        self.register("type", int, _whole_number)
+        self.register("type", float, _number)
+
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(f"{message.removeprefix('argument ')} (see --help)")
+
+
+def _whole_number(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a whole number") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number") from None
+
+
+def parser(name: str, description: str) -> argparse.ArgumentParser:
+    """Parser for ``python -m speckle_mi.<name>`` with the flags that every command knows.
+
+    Its ``parse_args`` raises ValueError.
+    """
+    made = _Parser(prog=f"python -m speckle_mi.{name}", description=description, allow_abbrev=False)
+    made.add_argument("--quiet", action="store_true", help="print errors only")
+    made.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    return made
+
+
+def scene_parser(name: str, description: str) -> argparse.ArgumentParser:
+    """:func:`parser` for commands that take a scene."""
+    from .machine.backend import DEFAULT_VARIANT
+
+    made = parser(name, description)
+    made.add_argument("scene", metavar="SCENE", help="Mitsuba XML scene file")
+    made.add_argument(
+        "-D", dest="defaults", metavar="NAME=VALUE", action="append", default=[],
+        help="value of a <default> of the scene (may be repeated; of one name the last counts)",
+    )
+    made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
+    return made
+
+
+def add_force(made: argparse.ArgumentParser) -> None:
+    """The flag of every command that writes results."""
+    made.add_argument("--force", action="store_true", help="overwrite results that were made with other settings")
+
+
+def say(arguments: argparse.Namespace, text: str) -> None:
+    """Prints a line unless the user asked for quiet."""
+    if not arguments.quiet:
+        print(text, flush=True)

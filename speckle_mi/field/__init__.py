@@ -1,0 +1,1 @@
+"""The complex field on the detector: the stages of the plan, summed."""

@@ -1,0 +1,66 @@
+"""What a sum is made of, written down so that anybody can check a field."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+
+import numpy as np
+
+from ..geometry.pose import Pose
+from ..machine.files import replacing
+from ..machine.memory import excess
+from ..machine.progress import tell
+
+BYTES_PER_LAYER = 24
+"""Memory of a pixel of one scatterer's field while it is being written: complex128 and its two float32 channels."""
+
+
+def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[str, np.ndarray]:
+    """Complex fields (rows, columns) of the first ``count`` scatterers alone, by the names of their layers.
+
+    Raises ValueError where they take more memory than the machine has.
+    """
+    from .simulate import field_of
+
+    asked, count = count, min(count, scatterers.count)
+    if too_much := excess(count * assembly.detector.size * BYTES_PER_LAYER):
+        raise ValueError(f"--per-source {asked}: the layers {too_much}")
+    digits = max(3, len(str(count)))
+    layers = {}
+    for number in range(count):
+        layers[f"source{number:0{digits}d}"] = field_of(assembly, scatterers.selected(np.array([number])), pose)
+        tell("layers", number + 1, count)
+    return layers
+
+
+def settings_of_sources(path: str | os.PathLike) -> object:
+    """The settings with which ``--sources`` wrote a file; None where it did not."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return json.loads(archive.comment)
+    except (OSError, ValueError, zipfile.BadZipFile):
+        return None
+
+
+def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict | None = None) -> None:
+    """Writes position, amplitude and pixel geometry, with which the field can be checked independently.
+
+    In free space without a lobe the field is the sum of ``amplitude * exp(i k r) / r`` over ``position`` exactly. The
+    settings stand in the archive's comment.
+    """
+    grid = assembly.detector
+    with replacing(path) as temporary, open(temporary, "w+b") as file:
+        np.savez(
+            file,
+            position=scatterers.position,
+            amplitude=scatterers.amplitude,
+            pixel_origin=grid.origin,
+            u=grid.u,
+            v=grid.v,
+            pitch=grid.pitch,
+            wavelength=assembly.beam.wavelength,
+        )
+        with zipfile.ZipFile(file, "a") as archive:
+            archive.comment = json.dumps(settings or {}).encode()

@@ -1,0 +1,1 @@
+"""Field images and other pictures, read and written."""

@@ -1,0 +1,1 @@
+"""What of the machine is used: cores, memory, LLVM, files, signals, and how long things take."""

@@ -1,0 +1,1 @@
+"""What is measured on images: shift and correlation, centre of gravity, speckle statistics, sensitivities."""

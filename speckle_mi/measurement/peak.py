@@ -1,0 +1,168 @@
+"""The peak of a correlation surface: where it is to a fraction of a pixel, and whether chance could have made it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from .speckle_statistics import autocovariance, central_lobe
+
+FALSE_ALARM = 1e-3
+"""Probability that two unrelated patterns are given a shift; each of the two stages gets half."""
+
+RIVAL = 0.9
+"""A second peak this high, relative to the first, makes the shift ambiguous."""
+
+PATCH = 2
+"""Pixels on each side of the peak in the sub-pixel fit."""
+
+FEWEST_SPECKLES = 16
+"""Fewest independent speckles that can tell two patterns apart at all."""
+
+ROUNDING = 1e-12
+"""Rounding of an NCC of 1; speckle of 100 px moved by 1e-4 px is already further from it."""
+
+SPECKLE_KURTOSIS = 9.0
+"""Fourth moment over squared variance of exponentially distributed intensity."""
+
+
+def _log_maximum(patch: np.ndarray) -> tuple[tuple[float, float], float] | None:
+    """Offset (v, u) from the middle and height of the maximum of a patch of NCC values, or None.
+
+    A polynomial through the logarithm of all values (a product of degree 4 x 4 for 5 x 5 values), so a Gaussian
+    peak of any orientation is exact. Three points an axis would ignore the cross term, which a finite number of
+    speckles always has: up to 0.08 px for 40 px speckle in a 256 px window.
+    """
+    if patch.min() <= 0.0:
+        return None
+    nodes = [np.arange(n) - n // 2 for n in patch.shape]
+    to_powers = [np.linalg.inv(np.vander(x.astype(float), increasing=True)) for x in nodes]
+    coefficients = to_powers[0] @ np.log(patch) @ to_powers[1].T
+    place = np.zeros(2)
+    free = [axis for axis in (0, 1) if patch.shape[axis] > 1]
+    if not free:
+        return None
+    for _ in range(20):
+        powers = [_power_derivatives(place[axis], patch.shape[axis]) for axis in (0, 1)]
+        value, gradient_v, curvature_v = powers[0] @ coefficients @ powers[1][0]
+        gradient_u, cross = powers[0][:2] @ coefficients @ powers[1][1]
+        curvature_u = powers[0][0] @ coefficients @ powers[1][2]
+        gradient = np.array([gradient_v, gradient_u])[free]
+        hessian = np.array([[curvature_v, cross], [cross, curvature_u]])[np.ix_(free, free)]
+        if np.linalg.eigvalsh(hessian).max() >= -1e-12:
+            return None
+        step = -np.linalg.solve(hessian, gradient)
+        place[free] += step
+        if np.abs(place).max() > 1.0:
+            return None
+        if np.abs(step).max() < 1e-9:
+            return (float(place[0]), float(place[1])), min(math.exp(value), 1.0)
+    return None
+
+
+def _power_derivatives(x: float, count: int) -> np.ndarray:
+    """Powers x^0 ... x^(count-1) and their first and second derivatives, (3, count)."""
+    n = np.arange(count)
+    powers = float(x) ** n
+    table = np.zeros((3, count))
+    table[0] = powers
+    table[1, 1:] = n[1:] * powers[:-1]
+    table[2, 2:] = n[2:] * n[1:-1] * powers[:-2]
+    return table
+
+
+class Texture:
+    """What chance can do with a pattern: its speckle area, its lobe, and how many speckles carry its contrast.
+
+    area: integral of the squared normalised autocovariance over the central lobe [px^2], the area on which two
+    patterns agree or disagree together. lobe: half extents (v, u) [px].
+    """
+
+    def __init__(self, piece: np.ndarray) -> None:
+        covariance = autocovariance(piece)
+        rows, columns = piece.shape
+        # A lobe is never taken wider than this, so that a pattern of parallel stripes is seen to repeat itself.
+        self.lobe = tuple(min(reach, n // 3) for reach, n in zip(central_lobe(covariance), piece.shape))
+        v, u = self.lobe
+        self.area = float(np.sum(np.square(covariance[rows - 1 - v : rows + v, columns - 1 - u : columns + u])))
+        squares = np.square(piece - piece.mean())
+        # A few bright pixels carry the contrast of an image whose kurtosis is above that of speckle.
+        self.carrying = min(1.0, SPECKLE_KURTOSIS * float(squares.mean() ** 2 / np.mean(squares**2)))
+
+    def speckles(self, pixels: np.ndarray | float) -> np.ndarray | float:
+        """Number of independent speckles in so many pixels."""
+        return pixels * (self.carrying / self.area)
+
+
+@dataclass(frozen=True)
+class Peak:
+    """A maximum of a correlation surface.
+
+    place: its pixel. offset: (v, u) [px] from there, None where the surface has no smooth maximum inside a patch
+    or it lies at the edge. significance: its pixel's NCC over the least significant.
+    rival: place of another peak as good.
+    """
+
+    place: tuple[int, int]
+    offset: tuple[float, float] | None
+    ncc: float
+    significance: float = math.nan
+    rival: tuple[int, int] | None = None
+
+
+def peak_at(surface: np.ndarray, place: tuple[int, int]) -> Peak:
+    """The maximum of ``surface`` next to the pixel ``place``, by the largest patch that has one."""
+    top = float(surface[place])
+    if top > 1.0 - ROUNDING:  # only a copy correlates fully (Cauchy-Schwarz), so it lies exactly here
+        return Peak(place, (0.0, 0.0), 1.0)
+    for radius in (PATCH, 1):
+        reach = [radius if n > 1 else 0 for n in surface.shape]
+        if all(r <= i < n - r for r, i, n in zip(reach, place, surface.shape)):
+            patch = surface[tuple(slice(i - r, i + r + 1) for i, r in zip(place, reach))]
+            if (found := _log_maximum(patch)) is not None:
+                return Peak(place, found[0], min(max(found[1], top), 1.0))
+    return Peak(place, None, min(top, 1.0))
+
+
+def least_significant(speckles: np.ndarray | float, places: float) -> np.ndarray | float:
+    """NCC that the best of ``places`` [speckle areas] of unrelated patterns exceeds with FALSE_ALARM / 2.
+
+    speckles: independent ones under the template. Fisher's z of a Gaussian field with three maxima an area, with the
+    skewness 4/sqrt(speckles) that products of exponential intensities have (Cornish-Fisher). Checked by simulation.
+    """
+    z = -NormalDist().inv_cdf(0.5 * FALSE_ALARM / (3.0 * max(places, 1.0)))
+    root = np.sqrt(speckles)
+    return np.tanh((z + 4.0 * (z * z - 1.0) / (6.0 * root)) / root)
+
+
+def most_significant(surface: np.ndarray, pixels: np.ndarray | float, texture: Texture) -> Peak:
+    """The most significant peak of a correlation surface, each value of which rests on ``pixels`` pixels."""
+    speckles = np.asarray(texture.speckles(pixels))  # one number for stage 1, one a displacement for stage 2
+    most = float(speckles.max())
+    # With too few speckles everywhere the best of the larger overlaps is still looked up, but proves nothing.
+    enough = np.broadcast_to(speckles >= min(FEWEST_SPECKLES, 0.5 * most), surface.shape)
+    threshold = least_significant(np.maximum(speckles, 1.0), np.count_nonzero(enough) / texture.area)
+    ratio = np.where(enough, surface / threshold, 0.0)
+    place = argmax(ratio)
+    peak = peak_at(surface, place)
+    # Of the pixel, not interpolated: interpolation raises the peaks of unrelated patterns too.
+    significance = float(ratio[place]) if most >= FEWEST_SPECKLES else 0.0
+    lobe = tuple(slice(max(i - reach, 0), i + reach + 1) for i, reach in zip(place, texture.lobe))
+    ratio[lobe] = 0.0
+    other = argmax(ratio)
+    if significance >= 1.0 and ratio[other] >= 1.0 and peak_at(surface, other).ncc >= RIVAL * peak.ncc:
+        return Peak(place, peak.offset, peak.ncc, significance, other)
+    # Unrelated patterns scatter by 1/sqrt(speckles); if the rest of this surface scatters more, the bar is higher.
+    scatter = np.where(enough, surface * np.sqrt(speckles), 0.0)
+    scatter[lobe] = 0.0
+    away = np.count_nonzero(enough) - np.count_nonzero(enough[lobe])
+    excess = math.sqrt(float(np.sum(np.square(scatter))) / away) if away else 1.0
+    return Peak(place, peak.offset, peak.ncc, significance / max(excess, 1.0))
+
+
+def argmax(surface: np.ndarray) -> tuple[int, int]:
+    row, column = np.unravel_index(int(np.argmax(surface)), surface.shape)
+    return int(row), int(column)

@@ -1,0 +1,106 @@
+"""The order in which light meets surfaces, and what happens at each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from ..geometry.frames import Frame
+from ..geometry.plane import PlaneGrid
+from .surface import Surface
+
+
+@dataclass(frozen=True, eq=False)
+class Interaction:
+    """What happens to light at a surface.
+
+    action: "refract" (Snell's law), "reflect" (mirror), "pass" (a place the light goes straight through: an aperture, a
+    reference plane, the detector); index_before, index_after: refractive indices of the segments on its way in and out;
+    root: which crossing of the surface is meant, see ``Surface.intersect``.
+    Build with ``Interaction.refract``, ``.reflect``, ``.through``.
+    """
+
+    surface: Surface
+    action: Literal["refract", "reflect", "pass"]
+    index_before: float = 1.0
+    index_after: float = 1.0
+    root: Literal["vertex", "near", "far"] = "vertex"
+
+    def __post_init__(self) -> None:
+        if self.action not in ("refract", "reflect", "pass"):
+            raise ValueError(f"interaction {self.action!r}: must be one of refract, reflect, pass")
+        if self.root not in ("vertex", "near", "far"):
+            raise ValueError(f"root {self.root!r}: must be one of vertex, near, far")
+        if not (self.index_before > 0.0 and self.index_after > 0.0):
+            raise ValueError(
+                f"refractive indices {self.index_before}, {self.index_after}: must be positive (a mirror is 'reflect')"
+            )
+        if self.action != "refract" and self.index_before != self.index_after:
+            raise ValueError(
+                f"{self.action} with indices {self.index_before}, {self.index_after}: "
+                "the medium changes only by refraction"
+            )
+        if self.root != "vertex" and not (self.surface.curvature != 0.0 and self.surface.conic > -1.0):
+            raise ValueError(
+                f"root {self.root!r} needs a closed surface: a sphere or spheroid (curvature not 0, conic > -1)"
+            )
+
+    @classmethod
+    def refract(cls, surface: Surface, index_before: float, index_after: float, root: str = "vertex") -> Interaction:
+        """Refraction from ``index_before`` into ``index_after``."""
+        return cls(surface, "refract", index_before, index_after, root)
+
+    @classmethod
+    def reflect(cls, surface: Surface, index: float = 1.0, root: str = "vertex") -> Interaction:
+        """Mirror inside a medium of ``index``. The mirror's own phase, the same for all rays, is left out."""
+        return cls(surface, "reflect", index, index, root)
+
+    @classmethod
+    def through(cls, surface: Surface, index: float = 1.0) -> Interaction:
+        """A surface that changes nothing: an opening, a reference plane, the detector."""
+        return cls(surface, "pass", index, index)
+
+
+def detector_plane(grid: PlaneGrid) -> Interaction:
+    """The detector's plane as the end of a sequence."""
+    return Interaction.through(Surface(Frame(grid.centre, np.stack([grid.u, grid.v, grid.normal], axis=1))))
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """Interactions in the order in which light meets them.
+
+    Raises ValueError when empty or when one interaction's medium is not the next one's.
+    """
+
+    interactions: tuple[Interaction, ...]
+    rims: tuple[tuple[int, int], ...] = field(init=False)
+    """One (interaction, component) per row of every ``margins`` array; a circle has one, a rectangle two (x, y)."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "interactions", tuple(self.interactions))
+        if not self.interactions:
+            raise ValueError("optical sequence is empty: it must at least hold the plane where the light ends")
+        for i, (one, two) in enumerate(zip(self.interactions, self.interactions[1:], strict=False)):
+            if one.index_after != two.index_before:
+                raise ValueError(
+                    f"optical sequence: index {one.index_after} after interaction {i} "
+                    f"but {two.index_before} before interaction {i + 1}"
+                )
+        rims = [
+            (i, j)
+            for i, one in enumerate(self.interactions)
+            if one.surface.outline
+            for j in range(one.surface.outline.size)
+        ]
+        object.__setattr__(self, "rims", tuple(rims))
+
+    @property
+    def size(self) -> int:
+        return len(self.interactions)
+
+    @property
+    def last(self) -> Interaction:
+        return self.interactions[-1]

@@ -1,0 +1,117 @@
+"""Optical surfaces and the order in which light meets them.
+
+A surface is a plane or a conic of revolution about the local z axis with its vertex at the frame's origin,
+
+    c (x^2 + y^2) + c (1 + k) z^2 - 2 z = 0,
+
+c the curvature [1/mm] (positive: centre of curvature on the +z side; 0: plane) and k the conic constant (0 sphere, -1
+paraboloid, k < -1 hyperboloid). Lengths are mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.frames import Frame
+from ..geometry.outline import Circle, Rectangle
+
+ORTHONORMAL_TOLERANCE = 1e-6
+"""Axes further from orthonormal than this are a mistake; closer ones are rounding and are made exact."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A plane or conic of revolution.
+
+    frame: origin at the vertex, local z along the axis of revolution; curvature: [1/mm]; conic: conic constant;
+    outline: rim in local x, y, or None for an unbounded surface.
+    Raises ValueError for axes that are not orthonormal or a shape that is not finite.
+    """
+
+    frame: Frame
+    curvature: float = 0.0
+    conic: float = 0.0
+    outline: Circle | Rectangle | None = None
+
+    def __post_init__(self) -> None:
+        axes = np.asarray(self.frame.axes, dtype=np.float64)
+        error = np.abs(axes.T @ axes - np.eye(3)).max()
+        if not error < ORTHONORMAL_TOLERANCE:
+            raise ValueError(
+                f"surface axes are not orthonormal (off by {error:.1e}): optics may be rotated, not scaled or sheared"
+            )
+        if not (np.isfinite(self.curvature) and np.isfinite(self.conic)):
+            raise ValueError(
+                f"surface curvature = {self.curvature}, conic = {self.conic}: must be finite (a plane has curvature 0)"
+            )
+        # The nearest rotation: a scale error of 1e-9 in the axes would already be 1e-4 wavelengths over 0.1 m.
+        left, _, right = np.linalg.svd(axes)
+        object.__setattr__(self, "frame", Frame(np.asarray(self.frame.origin, dtype=np.float64), left @ right))
+
+    @classmethod
+    def sphere(cls, centre: np.ndarray, radius: float) -> Surface:
+        """Full sphere, to be crossed with the roots "near" and "far" (a ball lens). centre (3,), radius [mm]."""
+        if not radius > 0.0:
+            raise ValueError(f"sphere radius = {radius} mm: must be positive")
+        return cls(Frame(np.asarray(centre, dtype=np.float64) - [0.0, 0.0, radius], np.eye(3)), 1.0 / radius)
+
+    @property
+    def is_plane(self) -> bool:
+        return self.curvature == 0.0
+
+    def sag(self, squared: np.ndarray) -> np.ndarray:
+        """Height (n,) [mm] above the vertex plane at squared distances (n,) [mm^2] from the axis.
+
+        c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)); beyond the equator, where there is no surface, the root counts as 0.
+        """
+        c, k = self.curvature, self.conic
+        return c * squared / (1 + np.sqrt(np.maximum(1 - (1 + k) * c * c * squared, 0.0)))
+
+    def gradient(self, point: np.ndarray) -> np.ndarray:
+        """Half the gradient of the surface's equation at local points (3, n), (3, n); its length is 1 at the vertex."""
+        c = self.curvature
+        return np.stack([c * point[0], c * point[1], c * (1.0 + self.conic) * point[2] - 1.0])
+
+    def intersect(
+        self, point: np.ndarray, direction: np.ndarray, root: str = "vertex"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Length (n,) [mm] along local rays to the surface and the hit points (3, n), NaN where there are none.
+
+        point, direction: (3, n), directions of unit length. root: which of the two crossings of the quadric,
+        "vertex": the one met on the sheet through the vertex, crossed in the direction the ray has along z;
+        "near", "far": first and second crossing of a closed surface.
+
+        With the ray written from its point closest to the vertex, a t^2 + 2 b t + f = 0, and
+        a t + b = +-sqrt(b^2 - a f) is the ray's slope against the surface, so its sign tells the roots apart. Each root
+        is taken in the form without cancellation; for c -> 0 it goes over into the plane's without a switch.
+        """
+        if self.is_plane:
+            length = -point[2] / direction[2]
+            hit = point + length * direction
+            hit[2] = np.where(np.isfinite(length), 0.0, np.nan)
+            return length, hit
+        c, k, cosine = self.curvature, self.conic, direction[2]
+        foot = -dot(point, direction)
+        start = point + foot * direction
+        a = c * (1.0 + k * cosine * cosine)
+        b = (c * k * start[2] - 1.0) * cosine
+        f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
+        slope = np.sqrt(b * b - a * f)
+        if root == "vertex":
+            slope = np.where(cosine > 0.0, -slope, slope)
+        else:
+            slope = np.where((a > 0.0) == (root == "near"), -slope, slope)
+        t = np.where(b * slope >= 0.0, -f / (b + slope), (slope - b) / a)
+        if root == "vertex" and k != -1.0:
+            # Equator of the spheroid, or the gap between the hyperboloid's sheets: beyond it lies the other half.
+            beyond = (1.0 + k) * c * (start[2] + t * cosine) >= 1.0
+            t = np.where(beyond, np.nan, t)
+        # From the near start, so that a source far away does not leave its rounding in the hit point.
+        return foot + t, start + t * direction
+
+
+def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Scalar products of vectors whose components are the first axis, (3, ...)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

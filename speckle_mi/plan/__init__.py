@@ -1,0 +1,1 @@
+"""Which ways the light takes, and which stages each of them needs."""

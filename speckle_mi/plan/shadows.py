@@ -1,0 +1,380 @@
+"""Shadows on the detector and on openings: of rims on the way, and of shapes that stand beside or in it.
+
+A way of the light through elements has the rims of these as smooth clearances; every other shape of the scene may still
+stand between two of its surfaces. Both are judged ray by ray, and each scatterer has its own shadow: many share those
+of the patches of the spot that they lie in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from ..geometry.plane import PlaneGrid
+from ..optics.aim import aim
+from ..optics.sequence import Interaction, Sequence, detector_plane
+from ..optics.surface import Surface
+from ..optics.trace import RayStatus, trace
+from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix
+from ..scene.assembly import Assembly
+from .routes import NOTHING, TARGET
+from .visibility import shapes_beside, unblocked
+from .way import Channel, Rim
+
+SHADOWS_ON_DETECTOR, SHADOWS_ON_OPENING = 1024, 64
+"""Most shadows that are told apart: of single scatterers, or of patches of the spot."""
+
+_FEW_SHADOWS, _RIM_PIXELS = 64, 2
+"""Patches whose shadows tell where scatterers differ at all, and by how many pixels more the rest may."""
+
+_SAFE_MARGIN = 0.02
+"""Relative clearance 1 - r^2/R^2 of the outermost rays from which on a rim is taken to cast no shadow."""
+
+_NODES = 24
+"""Nodes a side on the detector from which rays and the clearance of rims are interpolated."""
+
+_COARSE = 96
+"""Places a side on the detector at which the view from an opening is judged."""
+
+_SOURCES_AT_ONCE = 32
+"""Sources whose rays are aimed together."""
+
+_RING_SAMPLES, _ANGLE_SAMPLES = 5, 12
+
+
+def opening_samples(plane: Surface) -> np.ndarray:
+    """World points (n, 3) spread over an opening: its centre, and rings out to the rim."""
+    share = np.arange(1, _RING_SAMPLES + 1) / _RING_SAMPLES
+    angle = 2 * np.pi * np.arange(_ANGLE_SAMPLES) / _ANGLE_SAMPLES
+    x, y = (np.append(0.0, np.outer(share, edge)) for edge in plane.outline.edge(angle))
+    return plane.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
+
+
+def detector_samples(grid: PlaneGrid) -> np.ndarray:
+    """World points (25, 3) over the detector, edges included."""
+    side = np.linspace(-1, 1, 5)
+    return _places(
+        grid, side * grid.shape[0] / max(grid.shape[0] - 1, 1), side * grid.shape[1] / max(grid.shape[1] - 1, 1)
+    )
+
+
+def extremes(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """The middle and the outermost of points (n, 3) in eight directions across axes z, (at most 9, 3)."""
+    middle = points.mean(axis=0)
+    angle = np.pi / 4 * np.arange(8)
+    directions = np.outer(np.cos(angle), axes[:, 0]) + np.outer(np.sin(angle), axes[:, 1])
+    outermost = [points[np.argmax(points @ direction)] for direction in directions]
+    return np.unique(np.array([middle, *outermost]), axis=0)
+
+
+def shadowed_sum(
+    sources: np.ndarray,
+    lit_from: Callable[[np.ndarray, np.ndarray | None], Iterable[np.ndarray]],
+    sum_over: Callable[[np.ndarray, np.ndarray], np.ndarray],
+    whole: np.ndarray,
+    most: int,
+) -> tuple[np.ndarray, float, float]:
+    """A field with every scatterer's shadow in it, the share of places in shadow, and the error of sharing shadows.
+
+    sources: (n, 3); lit_from(places (g, 3), only) -> for each of them bool of the shape of the field, right where
+    ``only`` is (None: everywhere); sum_over(group, places) -> the field of the scatterers with the indices ``group`` at
+    the places (bool) alone, 1-D; whole: the field of all without shadows. Up to ``most`` scatterers have each their own
+    shadow, more share those of as many patches of the spot; the error is then what four times fewer patches change,
+    relative L2.
+    """
+    few = list(lit_from(_middles(_groups(sources, min(most, _FEW_SHADOWS)), sources), None))
+    mixed = np.any(few, axis=0) & ~np.all(few, axis=0)
+    # Where patches of the spot agree, so do all scatterers, but for a rim of a pixel or so.
+    near = binary_dilation(mixed, iterations=_RIM_PIXELS) if mixed.ndim == 2 else mixed
+    steady = np.where(few[0] & ~near, whole, 0.0)
+    field, share = _with_own_shadows(_groups(sources, most), sources, lit_from, sum_over, steady, whole, near)
+    if len(sources) <= most:
+        return field, share, 0.0
+    coarse, _ = _with_own_shadows(_groups(sources, max(most // 4, 1)), sources, lit_from, sum_over, steady, whole, near)
+    return field, share, float(np.linalg.norm(field - coarse) / max(np.linalg.norm(field), 1e-300))
+
+
+def _with_own_shadows(groups, sources, lit_from, sum_over, steady, whole, near) -> tuple[np.ndarray, float]:
+    """``steady`` with the field at the places ``near`` a shadow's edge, and the share of places that shadows touch."""
+    field = steady.copy()
+    if np.any(near):
+        lit = np.array([np.packbits(seen[near]) for seen in lit_from(_middles(groups, sources), near)])
+        everywhere = np.unpackbits(np.bitwise_and.reduce(lit, axis=0), count=np.count_nonzero(near)).view(bool)
+        field[near] = np.where(everywhere, whole[near], 0.0)
+        for group, packed in zip(groups, lit, strict=True):
+            seen = np.zeros_like(near)
+            seen[near] = np.unpackbits(packed, count=everywhere.size).view(bool) & ~everywhere
+            if np.any(seen):
+                field[seen] += sum_over(group, seen)
+    return field, float(np.mean((field != whole) | (whole == 0)))
+
+
+def _middles(groups: list[np.ndarray], sources: np.ndarray) -> np.ndarray:
+    return np.array([sources[group].mean(axis=0) for group in groups])
+
+
+def _groups(sources: np.ndarray, most: int) -> list[np.ndarray]:
+    """Index arrays of scatterers that share a shadow: each alone, or in at most ``most`` patches of the spot."""
+    if len(sources) <= most:
+        return [np.array([k]) for k in range(len(sources))]
+    centred = sources - sources.mean(axis=0)
+    axes = np.linalg.eigh(centred.T @ centred)[1][:, ::-1][:, :2]
+    place = centred @ axes
+    side = int(np.sqrt(most))
+    span = np.ptp(place, axis=0)
+    cell = np.minimum((place - place.min(axis=0)) / np.where(span > 0, span, 1) * side, side - 1).astype(int)
+    label = cell[:, 0] * side + cell[:, 1]
+    return [np.flatnonzero(label == value) for value in np.unique(label)]
+
+
+# Shadows on the detector, where the light is not diffracted
+
+
+def is_clear(assembly: Assembly, channel: Channel, sources: np.ndarray, axes: np.ndarray) -> bool:
+    """Whether nothing casts a shadow on the detector, judged by the outermost rays."""
+    if not (channel.rims or assembly.elements):
+        return True
+    part, starts, ends = _outer_rays(channel, extremes(sources, axes))
+    points, margins = part.rays(starts, ends)
+    return bool(np.all(margins > _SAFE_MARGIN)) and not part.shapes_beside(assembly, points)
+
+
+def shapes_beside_way(assembly: Assembly, channel: Channel, sources: np.ndarray) -> list[str]:
+    """Names of the shapes that may stand in a way's light from sources (n, 3) to the detector without being on it."""
+    if not assembly.elements:
+        return []
+    part, starts, ends = _outer_rays(channel, sources)
+    return part.shapes_beside(assembly, part.rays(starts, ends)[0])
+
+
+def clearance_of_shapes(
+    assembly: Assembly, channel: Channel, sources: np.ndarray, steps: tuple[float, ...]
+) -> tuple[float, list[str]]:
+    """How far shapes beside a way keep off its light, and the names of those that come nearer than the last step.
+
+    The first is the largest of rising Fresnel parameters v = d sqrt(2 / (lambda L)) that is kept, 0 for none; d is the
+    distance from rays to the detector, L at most a quarter of the way, where its edge lies half way.
+    """
+    part, starts, ends = _outer_rays(channel, sources)
+    points, _ = part.rays(starts, ends)
+    length = float(np.max(np.linalg.norm(np.diff(points, axis=0), axis=2).sum(axis=0)))
+    kept = 0.0
+    for v in steps:
+        aside = v * float(np.sqrt(assembly.beam.wavelength * length / 8))
+        if not np.all(part.unblocked(assembly, points, aside)):
+            return kept, part.shapes_beside(assembly, points, aside)
+        kept = v
+    return kept, []
+
+
+def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarray, np.ndarray]:
+    """The whole way, and starts and ends (n, 3) of rays from all sources to places all over the detector."""
+    targets = detector_samples(channel.grid)
+    return _Part.whole(channel), np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
+
+
+def lit_pixels(
+    assembly: Assembly,
+    channel: Channel,
+    sources: np.ndarray,
+    grid: PlaneGrid,
+    only: np.ndarray | None = None,
+    rims: bool = True,
+) -> Iterator[np.ndarray]:
+    """For each of sources (n, 3), whether each pixel (rows, columns) is lit from it: no shape, and no rim, in the way.
+
+    only: pixels to look at, all by default; rims: whether these count.
+    """
+    return _Part.whole(channel).lit(assembly, sources, grid, grid.shape, rims, only)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The part of an unfolded way from one of its places to a later one.
+
+    Place 0 is the source, place i the i-th surface, the last the detector; places: those of this part, its ends
+    included; interactions: at the inner ones; end: the plane where it ends.
+    """
+
+    channel: Channel
+    places: tuple[int, ...]
+    interactions: tuple[Interaction, ...]
+    end: Interaction
+
+    @classmethod
+    def whole(cls, channel: Channel) -> _Part:
+        return cls.between(channel, None, None)
+
+    @classmethod
+    def between(cls, channel: Channel, start: Rim | None, end: Rim | None) -> _Part:
+        """From the source (None) or a rim to a later rim or the detector (None)."""
+        count = len(channel.interactions)
+        first, last = start.position if start else 0, end.position if end else count
+        # An opening is a place of its own: its plane is not passed a second time.
+        inner = [
+            i
+            for i in range(first, last)
+            if not (start and i == start.number and channel.interactions[i].action == "pass")
+        ]
+        places = (start.number + 1 if start else 0, *(i + 1 for i in inner), end.number + 1 if end else count + 1)
+        plane = end.end if end else detector_plane(channel.grid)
+        return cls(channel, places, tuple(channel.interactions[i] for i in inner), plane)
+
+    def rays(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points (p, n, 3) of the rays from sources to targets (n, 3), ends included, and clearances (r, n) of rims."""
+        if not self.interactions:
+            return np.stack([sources, targets]), np.empty((0, len(targets)))
+        sequence = Sequence((*self.interactions, self.end))
+        aimed = aim(sequence, sources, targets)
+        launch = np.where(aimed.converged[:, None], aimed.launch, targets - sources)
+        points = trace(sequence, sources, launch).points
+        return np.concatenate([sources[None], points]), np.where(aimed.converged, aimed.margins, -1.0)
+
+    def shapes_beside(self, assembly: Assembly, points: np.ndarray, clear: float = 0.0) -> list[str]:
+        """Names of the shapes that are not on this part, but may stand in it or within ``clear`` [mm] of its rays.
+
+        points: (p, n, 3) of the rays.
+        """
+        return shapes_beside(assembly, self._touched, self._folded(assembly, points), clear)
+
+    def unblocked(self, assembly: Assembly, points: np.ndarray, clear: float = 0.0) -> np.ndarray:
+        """Whether each of the rays with the points (p, n, 3) is free of shapes that are not on this part, (n,).
+
+        clear: distance [mm] aside of the rays at which is looked.
+        """
+        return unblocked(assembly, self._touched, self._folded(assembly, points), clear)
+
+    def lit(
+        self, assembly: Assembly, sources: np.ndarray, grid: PlaneGrid, shape: tuple[int, int], rims: bool,
+        only: np.ndarray | None = None,
+    ) -> Iterator[np.ndarray]:
+        """Whether places of a detector are lit from each of sources (n, 3): bool of ``shape``, edge to edge pixel.
+
+        Rays and clearances are interpolated from few that are traced. only: where shapes are looked for, bool of
+        ``shape``.
+        """
+        chosen = np.ones(shape, dtype=bool) if only is None else only
+        if not self.interactions:
+            targets = _places(grid, *(np.linspace(-1, 1, count) if count > 1 else np.zeros(1) for count in shape))
+            targets = targets[chosen.ravel()]
+            for source in sources:
+                lit = chosen.copy()
+                lit[chosen] = self.unblocked(assembly, np.stack([np.broadcast_to(source, targets.shape), targets]))
+                yield lit
+            return
+        nodes = chebyshev_nodes(_NODES)
+        targets = _places(grid, nodes, nodes)
+        rows, columns = (interpolation_matrix(_NODES, np.linspace(-1, 1, count)) for count in shape)
+        for some in np.array_split(sources, -(-len(sources) // _SOURCES_AT_ONCE)):
+            points, margins = self.rays(np.repeat(some, len(targets), axis=0), np.tile(targets, (len(some), 1)))
+            points = points.reshape(len(points), len(some), len(targets), 3)
+            margins = margins.reshape(-1, len(some), _NODES, _NODES)
+            for number in range(len(some)):
+                lit = chosen.copy()
+                if rims:
+                    for margin in margins[:, number]:
+                        lit &= _interpolated(rows, margin, columns) >= 0
+                if self.shapes_beside(assembly, points[:, number]):
+                    coarse = np.moveaxis(points[:, number], 2, 1).reshape(-1, _NODES, _NODES)
+                    fine = np.stack([_interpolated(rows, values, columns)[chosen] for values in coarse])
+                    fine = np.moveaxis(fine.reshape(len(points), 3, -1), 1, 2)
+                    lit[chosen] &= self.unblocked(assembly, fine)
+                yield lit
+
+    @property
+    def _touched(self) -> tuple[int, ...]:
+        """The element at each place: the target, those of the way, nothing at the detector."""
+        elements = (TARGET, *(number for number, *_ in self.channel.route.steps), NOTHING)
+        return tuple(elements[place] for place in self.places)
+
+    def _folded(self, assembly: Assembly, points: np.ndarray) -> np.ndarray:
+        """Points (p, n, 3) of rays where they are in the scene."""
+        seen = [*(i.surface.frame for i in self.channel.interactions), detector_plane(self.channel.grid).surface.frame]
+        real = [
+            *(i.surface.frame for i in self.channel.route.interactions),
+            detector_plane(assembly.detector).surface.frame,
+        ]
+        folded = np.array(points)
+        for row, place in enumerate(self.places):
+            if place > 0:
+                folded[row] = real[place - 1].to_world(seen[place - 1].to_local(points[row]))
+        return folded
+
+
+def _interpolated(rows: np.ndarray, values: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """From nodes (n, n) to places (rows, columns)."""
+    return rows @ values @ columns.T
+
+
+def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """World points (m n, 3) on the detector, row by row, at shares (m,), (n,) of the way from middle to edge pixels."""
+    a, b = (
+        0.5 * grid.pitch * (count - 1) * share for count, share in zip(grid.shape[::-1], (along, down), strict=True)
+    )
+    return (grid.centre + b[:, None, None] * grid.v + a[None, :, None] * grid.u).reshape(-1, 3)
+
+
+# Shadows on an opening, and what hides an opening from the detector
+
+
+def lit_nodes(channel: Channel, rim: Rim, sources: np.ndarray, points: np.ndarray) -> Iterator[np.ndarray]:
+    """For each of sources (m, 3), whether points (n, 3) of the first opening are lit over rims not diffracted at."""
+    for source in sources:
+        yield np.all(_clearance_over(channel, rim, np.broadcast_to(source, points.shape), points) >= 0, axis=0)
+
+
+def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
+    """Whether a rim that is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
+    outermost, samples = extremes(sources, axes), opening_samples(rim.plane)
+    starts, over = np.repeat(outermost, len(samples), axis=0), np.tile(samples, (len(outermost), 1))
+    return not np.all(_clearance_over(channel, rim, starts, over) > _SAFE_MARGIN)
+
+
+def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Clearances (r, n) of the rims not diffracted at on rays from sources over points of an opening, (n, 3) each."""
+    chosen = {opening.number for opening in channel.openings}
+    rows = [row for row, (number, _) in enumerate(Sequence(channel.interactions).rims) if number not in chosen]
+    if not rows:
+        return np.empty((0, len(points)))
+    before = aim(Sequence((*channel.leg(0), rim.end)), source, points)
+    clearance = np.full((len(rows), len(points)), -1.0)
+    reached = np.flatnonzero(before.converged)
+    # Where the ray goes on behind the opening decides about the rims there.
+    whole = trace(
+        Sequence((*channel.interactions, detector_plane(channel.grid))), source[reached], before.launch[reached]
+    )
+    alive = whole.status <= RayStatus.OUTSIDE_OUTLINE
+    clearance[:, reached[alive]] = whole.margins[np.ix_(rows, alive)]
+    return clearance
+
+
+def shapes_before(assembly: Assembly, channel: Channel, spots: np.ndarray) -> list[str]:
+    """Names of shapes that cut the light on its way from samples of the spot (n, 3) to the last opening."""
+    starts, rim, names = spots, None, []
+    for opening in channel.openings:
+        part, ends = _Part.between(channel, rim, opening), opening_samples(opening.plane)
+        points, _ = part.rays(np.repeat(starts, len(ends), axis=0), np.tile(ends, (len(starts), 1)))
+        if not np.all(part.unblocked(assembly, points)):
+            names += part.shapes_beside(assembly, points)
+        starts, rim = ends, opening
+    return names
+
+
+def hidden_pixels(assembly: Assembly, channel: Channel) -> np.ndarray | None:
+    """Pixels (rows, columns) that a rim or a shape hides from a part of the last opening, None where there are none."""
+    part, grid = _Part.between(channel, channel.openings[-1], None), channel.grid
+    if not part.interactions and not assembly.elements:
+        return None
+    outer = opening_samples(channel.openings[-1].plane)
+    outer = np.concatenate([outer[-1:], outer[:-1][-_ANGLE_SAMPLES:]])
+    shape = tuple(min(_COARSE, count) for count in grid.shape)
+    hidden = ~np.all(list(part.lit(assembly, outer, grid, shape, rims=True)), axis=0)
+    if not np.any(hidden):
+        return None
+    rows, columns = (
+        np.rint(np.linspace(0, few - 1, count)).astype(int) for few, count in zip(shape, grid.shape, strict=True)
+    )
+    return hidden[np.ix_(rows, columns)]

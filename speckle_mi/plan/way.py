@@ -1,0 +1,98 @@
+"""One way of the light with everything that its field is computed from: surfaces, rims, openings, the detector seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.frames import Frame
+from ..geometry.plane import PlaneGrid
+from ..optics.sequence import Interaction
+from ..optics.surface import Surface
+from .routes import Route
+
+
+@dataclass(frozen=True)
+class Rim:
+    """An outline that light goes through, as a plane: where it stands in the order of interactions.
+
+    name: element; plane: the plane of the rim with its outline; number: of the interaction whose outline it is;
+    position: number of interactions before the plane; index: of the medium there; is_screen: whether it is an aperture
+    or a mirror's edge rather than a lens's.
+    """
+
+    name: str
+    plane: Surface
+    number: int
+    position: int
+    index: float
+    is_screen: bool
+
+    @property
+    def end(self) -> Interaction:
+        """The rim's plane, unbounded, as the end of a sequence."""
+        return Interaction.through(Surface(self.plane.frame), self.index)
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One route with everything that its field is computed from.
+
+    interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
+    diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
+    lines: the plan in words; hidden: pixels (rows, columns) that something hides from a part of the last opening.
+    """
+
+    route: Route
+    interactions: tuple[Interaction, ...]
+    grid: PlaneGrid
+    openings: tuple[Rim, ...]
+    rims: tuple[Rim, ...]
+    lines: tuple[str, ...]
+    hidden: np.ndarray | None = None
+
+    @property
+    def has_power(self) -> bool:
+        """Whether anything on the way refracts or reflects light, plane mirrors apart."""
+        return any(interaction.action != "pass" for interaction in self.interactions)
+
+    @property
+    def viewpoint(self) -> np.ndarray:
+        """(3,) where the light from the target goes first: the vertex of a surface, or the detector's centre [mm]."""
+        return self.interactions[0].surface.frame.origin if self.interactions else self.grid.centre
+
+    def leg(self, number: int) -> tuple[Interaction, ...]:
+        """The refracting and reflecting interactions between point set ``number`` and the next."""
+        first = self.openings[number - 1].position if number > 0 else 0
+        last = self.openings[number].position if number < len(self.openings) else len(self.interactions)
+        return tuple(i for i in self.interactions[first:last] if i.action != "pass")
+
+
+def rims_of(spot: np.ndarray, names: tuple[str, ...], interactions: tuple[Interaction, ...]) -> tuple[Rim, ...]:
+    """The outlines among the interactions of a way that starts at ``spot`` (3,), in order."""
+    vertices = [spot, *(i.surface.frame.origin for i in interactions)]
+    return tuple(
+        _rim(name, number, interaction, interaction.surface.frame.origin - vertices[number])
+        for number, (name, interaction) in enumerate(zip(names, interactions, strict=True))
+        if interaction.surface.outline is not None
+    )
+
+
+def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -> Rim:
+    """The plane of an interaction's outline; ``travel`` (3,) is the direction in which light comes to it.
+
+    The rim of a curved surface lies off its vertex by the sag there. Where the surface bulges against the light,
+    rays meet first the surface and then the plane of its rim.
+    """
+    surface, outline = interaction.surface, interaction.surface.outline
+    if interaction.action == "pass" or surface.is_plane:
+        return Rim(name, surface, number, number, interaction.index_before, interaction.action == "pass")
+    sag = surface.sag(outline.reach**2)
+    bulges = sag * float(travel @ surface.frame.axes[:, 2]) > 0
+    if bulges and interaction.action == "reflect":
+        sag = 0.0  # light never comes to the plane of a convex mirror's rim: take the one through its vertex
+    plane = Surface(Frame(surface.frame.origin + sag * surface.frame.axes[:, 2], surface.frame.axes), outline=outline)
+    if bulges and interaction.action == "refract":
+        return Rim(name, plane, number, number + 1, interaction.index_after, False)
+    return Rim(name, plane, number, number, interaction.index_before, False)

@@ -1,0 +1,302 @@
+"""One call for every propagation: chooses how to do the coherent sum, does it, and measures its error.
+
+The error is measured on a random sample of the target's points against the exact float64 sum; a method that misses the
+tolerance there is replaced by a better one rather than believed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..geometry.plane import PlaneGrid, PlanePoints
+from ..machine.cores import products_on_one_thread
+from .area import Area, points_at
+from .bandlimited import NodeGrid, band_limited_sum, node_grid, reach_of
+from .costs import Costs, costs_of
+from .direct import SINGLE_PRECISION, direct_sum, supports
+from .interpolated import interpolated
+from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
+from .paths import Path
+from .phasors import active_variant
+from .reference import Sample, reference_sum
+from .runs import Extent
+from .source_box import SourceBox
+
+METHODS = ("auto", "direct", "fast")
+
+TIGHTEST = 1e-7
+"""Tolerance of ``direct`` for a path without closed form."""
+
+EXPANSION_SECONDS = 0.03
+"""What finding an expansion costs at least: not tried where the sum without it takes less."""
+
+TABLE_SECONDS = 2e-7
+"""Per entry of the expansion's table: one path, one complex exponential, a few complex products."""
+
+TYPICAL_RANK = 6
+"""Rank that a part of a large spot is taken to have when it is asked how many parts could pay."""
+
+MOST_PARTS = 256
+"""Parts of a spot beyond which the search for expansions costs more than it saves."""
+
+POINTS_AT_ONCE = 1 << 20
+"""Points of the target for which an expansion is evaluated at once."""
+
+ACCEPTED_SHARE = 0.7
+"""Share of the tolerance up to which a measured error is accepted: a few tens of points know it to about 20 %."""
+
+SAMPLED_PAIRS = 10_000_000
+"""Pairs spent on measuring the error, as far as between 8 and 64 sampled points allow."""
+
+KERNEL_PAIRS = 100_000
+"""Pairs of that sample from which the kernel is worth its launch; fewer are summed in NumPy."""
+
+
+@dataclass(frozen=True)
+class SumResult:
+    """Outcome of a coherent sum.
+
+    field: complex128 of the target's shape; plan: what was chosen and why, one line; numerical_error: relative L2 error
+    of the field, measured on a sample of points against the exact sum.
+    """
+
+    field: np.ndarray
+    plan: str
+    numerical_error: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way of doing the sum: its kind and what exactly, how long it should take [s], and how to do it."""
+
+    kind: str
+    name: str
+    seconds: float
+    field: Callable[[], np.ndarray]
+
+
+@products_on_one_thread()
+def coherent_sum(
+    path: Path,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    target: PlaneGrid | PlanePoints,
+    wavelength: float,
+    method: str = "auto",
+    tolerance: float = 1e-4,
+) -> SumResult:
+    """E_m = sum_j c_j A(P_j, D_m) e^{+ikV(P_j, D_m)} on all points of the target.
+
+    sources: (n, 3) [mm]; weights c: (n,) complex; wavelength [mm]. method: ``direct`` takes every pair (for a path
+    without closed form: the expansion at its tightest), ``fast`` the cheapest of the others, ``auto`` the cheapest of
+    all. tolerance: relative L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; what misses it is replaced.
+    Raises ValueError for arrays of the wrong shape, values that are not finite, parameters out of range, and a source
+    that lies on a point of the target.
+    """
+    sources, weights = _checked(sources, weights, target, wavelength, method, tolerance)
+    lit = weights != 0
+    if not lit.any():
+        return SumResult(np.zeros(_shape(target), dtype=np.complex128), "dark: no source has any weight", 0.0)
+    if not lit.all():
+        sources, weights = sources[lit], weights[lit]
+    if method == "direct":
+        tolerance = SINGLE_PRECISION if supports(path) else TIGHTEST
+    task = Task(path, sources, weights, target, wavelength, tolerance).with_cheap_path()
+    if method == "direct" and supports(path):
+        return task.result(task.every_pair(), "as asked")
+    return _first_that_holds(task, costs_of(active_variant()), with_pairs=method == "auto")
+
+
+def _first_that_holds(task: Task, costs: Costs, with_pairs: bool) -> SumResult:
+    """The result of the cheapest candidate that keeps the tolerance; every pair is the last resort."""
+    missed = ""
+    for share in (1.0, 0.03):
+        candidates = replace(task, tolerance=max(share * task.tolerance, 1e-9)).candidates(costs, with_pairs)
+        for i, candidate in enumerate(candidates):
+            slower = " and ".join(other.kind for other in candidates[i + 1 :])
+            why = f"predicted faster than {slower}" if slower else "nothing else applies"
+            result = task.result(candidate, why + missed)
+            if result.numerical_error <= ACCEPTED_SHARE * task.tolerance:
+                return result
+            missed += f"; {candidate.kind} missed the tolerance with {result.numerical_error:.1e}"
+    return task.result(task.every_pair(), f"nothing cheaper keeps {task.tolerance:.0e}{missed}")
+
+
+@dataclass(frozen=True)
+class Task:
+    """The arguments of a coherent sum, with what several methods need to know about them.
+
+    path_error: what the path itself, a series, adds to the relative error of any sum over it.
+    """
+
+    path: Path
+    sources: np.ndarray
+    weights: np.ndarray
+    target: PlaneGrid | PlanePoints
+    wavelength: float
+    tolerance: float
+    path_error: float = 0.0
+
+    @cached_property
+    def box(self) -> SourceBox:
+        return SourceBox.around(self.sources, self.target.u)
+
+    def with_cheap_path(self) -> Task:
+        """The same with a path without closed form replaced by its series, where it has one."""
+        if supports(self.path):
+            return self
+        series = interpolated(self.path, self.box, self.target, self.wavelength, self.tolerance / 20)
+        return self if series is None else replace(self, path=series, path_error=series.error)
+
+    @cached_property
+    def nodes(self) -> NodeGrid:
+        reach = reach_of(self.path, self.sources, self.weights, self.box, self.target)
+        return node_grid(self.path, reach, self.target, self.wavelength, self.tolerance)
+
+    @property
+    def touching(self) -> bool:
+        """Whether sources may lie on the target: the field is not smooth there, and nodes know nothing of it."""
+        rectangle = Area.around(self.target)
+        return Extent.of(self.box.corners, self.target).distance_to(rectangle.a, rectangle.b) == 0.0
+
+    def candidates(self, costs: Costs, with_pairs: bool) -> list[Candidate]:
+        """The methods that apply, cheapest first; an expansion is only looked for where it can pay."""
+        if self.touching:
+            return [self.every_pair()]
+        found = []
+        count, shape = len(self.sources), _shape(self.target)
+        interpolation = costs.interpolation(self.nodes.count, shape if len(shape) == 2 else (shape[0], 1))
+        all_pairs = np.inf
+        few_nodes = self.nodes.size < 0.7 * self.target.size
+        if supports(self.path):
+            slow_down = 1 if self.tolerance >= SINGLE_PRECISION else 3
+            all_pairs = slow_down * count * self.target.size * costs.grid_pair
+            if with_pairs:
+                found.append(replace(self.every_pair(), seconds=all_pairs))
+            if few_nodes:
+                seconds = slow_down * count * self.nodes.size * costs.point_pair + interpolation
+                name = f"every source on {self._node_text}"
+                found.append(Candidate("every source on nodes", name, seconds, lambda: self._on_nodes(self._exact)))
+        best = min([all_pairs, *(candidate.seconds for candidate in found)])
+        least = EXPANSION_SECONDS + 2 * count * costs.nufft_point
+        if best > least:
+            points = self.nodes.size if few_nodes else self.target.size
+            parts = expand_in_parts(
+                self.path, self.sources, self.weights, self.target, self.box, self.wavelength, self.tolerance,
+                largest_table=int(min(LARGEST_TABLE, (best - least) / TABLE_SECONDS)),
+                most_parts=int(np.clip((best - least) / (TYPICAL_RANK * points * costs.nufft_point), 1, MOST_PARTS)),
+            )  # fmt: skip
+            if parts is not None:
+                found.append(self._expanded(parts, costs, few_nodes, interpolation))
+        return sorted(found, key=lambda candidate: candidate.seconds)
+
+    def _expanded(self, parts: list[Part], costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
+        def low_rank(places: PlanePoints) -> np.ndarray:
+            return sum(
+                low_rank_sum(part.expansion, self.sources[part.members], self.weights[part.members], places)
+                for part in parts
+            )
+
+        points = self.nodes.size if few_nodes else self.target.size
+        seconds = costs.nufft_point * sum(
+            part.expansion.cost_factor * ((part.expansion.rank + 2) * part.count + part.expansion.rank * points)
+            for part in parts
+        )
+        ranks = [part.expansion.rank for part in parts]
+        name = f"NUFFT of rank {ranks[0]}"
+        if len(parts) > 1:
+            name = f"NUFFTs of rank {min(ranks)} to {max(ranks)} of {len(parts)} parts of the spot"
+        if few_nodes:
+            seconds += interpolation
+            return Candidate("NUFFT", f"{name} on {self._node_text}", seconds, lambda: self._on_nodes(low_rank))
+        return Candidate("NUFFT", f"{name} on all points", seconds, lambda: _in_parts(low_rank, self.target))
+
+    @property
+    def _node_text(self) -> str:
+        return f"{self.nodes.count[0]} x {self.nodes.count[1]} nodes of {self.target.size} points"
+
+    def _exact(self, places: PlanePoints) -> np.ndarray:
+        return direct_sum(self.path, self.sources, self.weights, places, self.wavelength, self.tolerance)
+
+    def _on_nodes(self, evaluate: Callable[[PlanePoints], np.ndarray]) -> np.ndarray:
+        return band_limited_sum(
+            evaluate, self.path, self.box.centre, self.nodes, self.target, self.wavelength, self.tolerance
+        )
+
+    def every_pair(self) -> Candidate:
+        """Every pair of source and point: the kernel for a closed form, NumPy for any other path."""
+
+        def field() -> np.ndarray:
+            if supports(self.path):
+                return direct_sum(self.path, self.sources, self.weights, self.target, self.wavelength, self.tolerance)
+            return self._reference(self.target).reshape(_shape(self.target))
+
+        name = f"every one of {len(self.sources) * self.target.size:.3g} pairs"
+        return Candidate("every pair", name, np.inf, field)
+
+    def _reference(self, places: PlaneGrid | PlanePoints) -> np.ndarray:
+        return reference_sum(self.path, self.sources, self.weights, places.points(), self.wavelength)
+
+    def result(self, candidate: Candidate, why: str) -> SumResult:
+        """Does the sum and measures its relative L2 error on sampled points, against the exact float64 sum."""
+        with np.errstate(divide="ignore", invalid="ignore"):  # told below
+            field = candidate.field()
+        flat = field.reshape(-1)
+        sample = Sample.of(flat, int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64)))
+        if not np.isfinite(sample.mean_square):
+            raise ValueError("a source lies on a point of the target: the field is infinite there, move one of the two")
+        places = points_at(self.target, sample.index)
+        if supports(self.path) and places.size * len(self.sources) > KERNEL_PAIRS:
+            # In float64 throughout: the float32 angles of the sum that is judged must not judge themselves.
+            exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, tolerance=0.0)
+        else:
+            exact = self._reference(places)
+        # The scale is the whole field's: a few points of a speckle pattern do not know it.
+        scale = sample.mean_square or float(np.mean(np.abs(exact) ** 2)) or 1.0
+        error = np.sqrt(np.mean(np.abs(flat[sample.index] - exact) ** 2 / sample.share) / scale)
+        return SumResult(field, f"{candidate.name} ({why})", float(np.hypot(error, self.path_error)))
+
+
+def _in_parts(evaluate: Callable[[PlanePoints], np.ndarray], target: PlaneGrid | PlanePoints) -> np.ndarray:
+    """``evaluate`` on all points of the target, in parts of bounded memory."""
+    field = np.empty(target.size, dtype=np.complex128)
+    for first in range(0, target.size, POINTS_AT_ONCE):
+        index = np.arange(first, min(first + POINTS_AT_ONCE, target.size))
+        field[index] = evaluate(points_at(target, index))
+    return field.reshape(_shape(target))
+
+
+def _shape(target: PlaneGrid | PlanePoints) -> tuple[int, ...]:
+    return target.shape if isinstance(target, PlaneGrid) else (target.size,)
+
+
+def _checked(
+    sources: np.ndarray,
+    weights: np.ndarray,
+    target: PlaneGrid | PlanePoints,
+    wavelength: float,
+    method: str,
+    tolerance: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    if method not in METHODS:
+        raise ValueError(f"method = {method!r}: must be one of {', '.join(METHODS)}")
+    if not 1e-8 <= tolerance <= 1e-1:
+        raise ValueError(f"tolerance = {tolerance}: must be a relative L2 error between 1e-8 and 1e-1")
+    if not (np.isfinite(wavelength) and wavelength > 0):
+        raise ValueError(f"wavelength = {wavelength}: must be a positive number of mm")
+    sources = np.ascontiguousarray(sources, dtype=np.float64)
+    weights = np.ascontiguousarray(weights, dtype=np.complex128)
+    if sources.ndim != 2 or sources.shape[1] != 3:
+        raise ValueError(f"sources of shape {sources.shape}: must be (n, 3) positions in mm")
+    if weights.shape != (len(sources),):
+        raise ValueError(f"weights of shape {weights.shape}: must be one for each of the {len(sources)} sources")
+    # A sum is finite where all its terms are, and costs no array of their answers.
+    if not (np.isfinite(sources.sum()) and np.isfinite(weights.sum())):
+        raise ValueError("sources and weights must be finite numbers")
+    if target.size == 0:
+        raise ValueError("target of no points: must have at least one")
+    return sources, weights

@@ -1,0 +1,150 @@
+"""What a sweep leaves behind: sweep.csv, summary.json, plots, and a table to read."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Iterable
+from dataclasses import asdict, fields
+from pathlib import Path
+
+import numpy as np
+
+from ..experiments import published as paper
+from ..experiments.expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_correlation, expected_sensitivity
+from ..experiments.sweep import FrameRecord, SweepResult, SweepSettings
+from ..geometry.pose import DEGREES_OF_FREEDOM, is_rotation
+from ..machine.files import replacing, write_json
+from ..machine.system import system_information
+from ..measurement.sensitivity import Sensitivity, fit_sensitivity
+from ..scene.assembly import Assembly
+from .plots import plot_decorrelation, plot_shifts, plot_speckle
+
+_CURVE_POINTS = 101
+
+
+def unit_of(dof: str) -> str:
+    """Unit of a sensitivity to a motion."""
+    return "mm/deg" if is_rotation(dof) else "mm/mm"
+
+
+def write_table(path: str | os.PathLike, records: Iterable[FrameRecord]) -> None:
+    """Writes a row a frame; numbers that were not measured are empty."""
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [column.name for column in fields(FrameRecord)])
+        writer.writeheader()
+        for record in records:
+            row = asdict(record)
+            writer.writerow({name: "" if _is_nan(value) else value for name, value in row.items()})
+
+
+def write_summary(path: str | os.PathLike, summary: dict) -> None:
+    """Writes summary.json without what only the plots need."""
+    write_json(path, {name: value for name, value in summary.items() if name != "fits"})
+
+
+def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) -> dict:
+    """Sensitivities of every motion along every axis, with theory, the paper's figures and the errors kept apart."""
+    grid = assembly.detector
+    fits = _fit_all(assembly, settings, result)
+    published = paper.published_assembly(assembly)
+    frames = [record.seconds for record in result.records if not _is_nan(record.seconds)]
+    lost = sum(record.status != "ok" for record in result.records)
+    return {
+        "axes": {"u": grid.u.tolist(), "v": grid.v.tolist()},
+        "target_axes": {name: assembly.target.frame.axes[:, k].tolist() for k, name in enumerate("xyz")},
+        "plan": result.plan,
+        "frames": len(result.records),
+        "frames_without_shift": lost,
+        "seconds_per_frame": float(np.median(frames)) if frames else math.nan,
+        "numerical_error": result.numerical_error,
+        "sensitivity": {dof: {axis: fit.to_json() for axis, fit in fitted.items()} for dof, fitted in fits.items()},
+        "decorrelation": {dof: _decorrelation(assembly, settings, result, dof) for dof in settings.dofs},
+        "paper": None if published is None else _paper_comparison(published, fits),
+        "warnings": result.warnings,
+        "system": system_information(),
+        "fits": fits,
+    }
+
+
+def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, result: SweepResult, summary: dict) -> None:
+    """Writes the speckle image, the decorrelation curves and, for every motion, the shifts along its main axes."""
+    plot_speckle(
+        folder / "speckle.png", result.example, assembly.detector.pitch, f"Surface {settings.seeds[0]} at rest"
+    )
+    plot_decorrelation(
+        folder / "decorrelation.png",
+        {dof: settings.displacements for dof in settings.dofs},
+        {dof: result.values(dof, "ncc", settings) for dof in settings.dofs},
+        _correlation_curves(assembly, settings),
+    )
+    for dof, fitted in summary["fits"].items():
+        for axis in _axes_to_plot(fitted):
+            plot_shifts(
+                folder / f"shift_{dof}_{axis}.png", settings.displacements,
+                result.values(dof, _column(axis), settings), fitted[axis].theory, fitted[axis], dof, axis,
+            )
+
+
+def _fit_all(assembly: Assembly, settings: SweepSettings, result: SweepResult) -> dict[str, dict[str, Sensitivity]]:
+    expected = expected_sensitivity(assembly)
+    fits: dict[str, dict[str, Sensitivity]] = {}
+    for dof in settings.dofs:
+        column = DEGREES_OF_FREEDOM.index(dof)
+        ncc = result.values(dof, "ncc", settings)
+        fits[dof] = {}
+        for axis in AXES:
+            theory = None if expected[axis] is None else float(expected[axis][column])
+            shifts = result.values(dof, _column(axis), settings)
+            weights = ncc if axis in PATTERN_AXES else None
+            fits[dof][axis] = fit_sensitivity(settings.displacements, shifts, weights, theory, unit_of(dof))
+    return fits
+
+
+def _column(axis: str) -> str:
+    return f"{axis}_um" if axis in CENTRE_AXES else f"shift_{axis}_um"
+
+
+def _decorrelation(assembly: Assembly, settings: SweepSettings, result: SweepResult, dof: str) -> dict:
+    measured = result.values(dof, "ncc", settings)
+    counted = np.isfinite(measured).any(axis=0)
+    mean = np.full(len(settings.displacements), np.nan)
+    mean[counted] = np.nanmean(measured[:, counted], axis=0)
+    expected = expected_correlation(assembly, dof, settings.displacements)
+    return {
+        "displacement": settings.displacements.tolist(),
+        "ncc": mean.tolist(),
+        "theory": None if expected is None else expected.tolist(),
+    }
+
+
+def _correlation_curves(assembly: Assembly, settings: SweepSettings) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    displacements = np.linspace(settings.displacements.min(), settings.displacements.max(), _CURVE_POINTS)
+    curves = {dof: expected_correlation(assembly, dof, displacements) for dof in settings.dofs}
+    return {dof: (displacements, curve) for dof, curve in curves.items() if curve is not None}
+
+
+def _axes_to_plot(fitted: dict[str, Sensitivity]) -> list[str]:
+    """The detector's two axes, and those of the centre of gravity where theory says something about it."""
+    return ["u", "v", *(axis for axis in CENTRE_AXES if fitted[axis].theory is not None)]
+
+
+def _paper_comparison(published: paper.PublishedAssembly, fits: dict[str, dict[str, Sensitivity]]) -> dict:
+    figures = {
+        dof: {
+            "axis": axis,
+            "paper": value,
+            "simulated": abs(fits[dof][axis].value),
+            "theory": None if fits[dof][axis].theory is None else abs(fits[dof][axis].theory),
+            "unit": unit_of(dof),
+        }
+        for dof, (axis, value) in published.figures.items()
+        if dof in fits
+    }
+    notes = {dof: paper.DOUBTFUL[published.name, dof] for dof in figures if (published.name, dof) in paper.DOUBTFUL}
+    return {"assembly": published.name, "figures": figures, "notes": notes}
+
+
+def _is_nan(value: object) -> bool:
+    return isinstance(value, float) and math.isnan(value)

@@ -1,0 +1,1 @@
+"""The beam on the rough surface: scatterers that belong to the material."""

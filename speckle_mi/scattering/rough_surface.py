@@ -1,0 +1,269 @@
+"""The rough surface as material: scatterers that stay where they are on it, whatever its pose.
+
+The surface consists of plane facets: one rectangle, or the triangles of a mesh. Each facet carries a lattice of
+square cells with one scatterer at a random place in each (a jittered lattice has no grating lobes). Place and
+height of a scatterer are pure functions of (surface seed, facet, cell), so any pose, order of frames or
+partition of the work finds the same scatterers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import drjit as dr
+import numpy as np
+
+from ..geometry.frames import Frame
+from ..machine.backend import arrays, opaque, opaque_vector
+from . import hashing
+from .beam import Beam, BeamKernel
+from .facets import Facets
+
+MAX_CELLS = 100_000_000
+"""Most cells that one frame may look at (about 5 GB of memory at the peak)."""
+
+_PLACE_U, _PLACE_V, _HEIGHT_RADIUS, _HEIGHT_ANGLE = range(4)
+_LATTICE_SEED = 0x6C61747469636500
+
+
+@dataclass(frozen=True)
+class RoughSurface:
+    """Facets with scatterers on them.
+
+    density: scatterers per area [1/mm^2]; roughness: rms height [mm]; correlation_length: 1/e length of the
+    heights' Gaussian autocorrelation [mm], 0 = independent heights; seed: which surface.
+    """
+
+    facets: Facets
+    density: float
+    roughness: float
+    correlation_length: float
+    seed: int
+
+
+@dataclass(frozen=True)
+class PointScatterers:
+    """The user's own scatterers: points (n, 3) [mm] in the target frame, weights (n,) complex."""
+
+    points: np.ndarray
+    weights: np.ndarray
+
+
+@dataclass(frozen=True)
+class Scatterers:
+    """Point sources under the beam at one pose.
+
+    position: (n, 3) [mm], world; amplitude: (n,) complex128, the illumination there times the scatterer's weight;
+    normal: (n, 3) world unit normal of the mean surface at each scatterer.
+    """
+
+    position: np.ndarray
+    amplitude: np.ndarray
+    normal: np.ndarray = field(repr=False)
+
+    @property
+    def count(self) -> int:
+        return len(self.amplitude)
+
+    def selected(self, keep: np.ndarray) -> Scatterers:
+        """Those where ``keep`` (n,) is true."""
+        return Scatterers(self.position[keep], self.amplitude[keep], self.normal[keep])
+
+
+def illuminated_points(scatterers: PointScatterers, beam: Beam, frame: Frame) -> Scatterers:
+    """The user's own scatterers with the target at ``frame``."""
+    position = frame.to_world(scatterers.points)
+    normal = np.broadcast_to(frame.axes[:, 2], position.shape)
+    return Scatterers(position, beam.field(position) * scatterers.weights, normal)
+
+
+def illuminated_scatterers(surface: RoughSurface, beam: Beam, frame: Frame) -> Scatterers:
+    """Scatterers of ``surface`` that the beam reaches with the target at ``frame``.
+
+    Raises ValueError when more than :data:`MAX_CELLS` cells would have to be looked at.
+    """
+    cells = _cells_under_beam(surface, beam, frame)
+    if cells.total == 0:
+        return Scatterers(np.zeros((0, 3)), np.zeros(0, complex), np.zeros((0, 3)))
+    lanes = arrays()
+    lane = dr.arange(lanes.UInt32, cells.total)
+    facets = _FacetKernel(surface, cells, frame, lane)
+    local, mean = facets.material_place()
+    height = facets.height(local)
+    beam_kernel = BeamKernel(beam)
+    position = mean + height * facets.normal
+    to_source, real, imaginary = beam_kernel.evaluate(position)
+    lit = facets.inside & (dr.dot(to_source, facets.normal) > 0)
+    if np.isfinite(beam.radius):
+        lit &= beam_kernel.across_squared(mean) <= beam_kernel.cutoff * beam_kernel.cutoff
+    # Everything is computed for all cells at once in one kernel; then those under the beam are picked.
+    amplitude = lanes.Array2f64(real, imaginary)
+    curved = surface.facets.count > 1
+    dr.eval(lit, position, amplitude, facets.normal if curved else ())
+    index = dr.compress(lit)
+    # Interleaved on the device: NumPy only looks at the result.
+    picked = [
+        dr.ravel(dr.gather(type(value), value, index))
+        for value in (position, amplitude, *((facets.normal,) if curved else ()))
+    ]
+    dr.eval(picked)
+    places, amplitudes, *normals = (value.numpy() for value in picked)
+    places = places.reshape(-1, 3)
+    normal = normals[0].reshape(-1, 3) if curved else np.broadcast_to(
+        frame.axes @ surface.facets.normal[0], places.shape
+    )
+    return Scatterers(places, amplitudes.view(np.complex128), normal)
+
+
+@dataclass(frozen=True)
+class _Cells:
+    """Blocks of lattice cells to look at: facet number, first cell and size along e1 and e2, first lane."""
+
+    facet: np.ndarray
+    first: np.ndarray
+    size: np.ndarray
+    start: np.ndarray
+    total: int
+
+
+def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells:
+    facets = surface.facets
+    pitch = surface.density**-0.5
+    lower, upper = facets.bounds[:, 0::2].copy(), facets.bounds[:, 1::2].copy()
+    if np.isfinite(beam.radius):
+        centre, half = _footprint(facets, beam, frame)
+        lower, upper = np.fmax(lower, centre - half), np.fmin(upper, centre + half)
+    meets = np.all(upper > lower, axis=1)
+    first = np.floor(lower[meets] / pitch)
+    size = np.ceil(upper[meets] / pitch) - first
+    count = np.prod(size, axis=1)
+    total = float(np.sum(count))
+    if total > MAX_CELLS:
+        raise ValueError(
+            f"the target's scatterers: about {total:.2g} lie under the beam or on the patch "
+            f"(some {total * 50 / 1e9:.3g} GB), must be at most {MAX_CELLS:.0e}: reduce point_sources or the lit area"
+        )
+    start = np.concatenate([[0], np.cumsum(count)[:-1]]) if len(count) else np.zeros(0)
+    return _Cells(
+        np.flatnonzero(meets), first.astype(np.int64), size.astype(np.int64), start.astype(np.int64), int(total)
+    )
+
+
+def _footprint(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
+    """Centre (f, 2) and half-widths (f, 2) [mm] of the beam's elliptic footprint in each facet's coordinates.
+
+    A point c + a e1 + b e2 lies within the radius R of the axis where (a, b) M (a, b)^T <= R^2 with
+    M = E^T (1 - b b^T) E; its bounding box has the half-widths R sqrt(diag(M^-1)). Where the beam grazes
+    the facet they are infinite.
+    """
+    axis = frame.axes.T @ beam.axis
+    reference = frame.to_local(beam.reference[None])[0]
+    basis = np.stack([facets.e1, facets.e2], axis=-1)  # (f, 3, 2)
+    along = np.einsum("k,fkc->fc", axis, basis)
+    metric = np.eye(2) - along[:, :, None] * along[:, None, :]
+    # The nearest approach of the axis to the facet's plane, by least squares:
+    # M s = E^T (1 - b b^T) (reference - origin).
+    offset = reference - facets.origin
+    offset = offset - (offset @ axis)[:, None] * axis
+    right = np.einsum("fk,fkc->fc", offset, basis)
+    determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inverse = np.stack([metric[:, 1, 1], metric[:, 0, 0]], axis=1) / determinant[:, None]
+        crossed = -metric[:, 0, 1] / determinant
+        centre = inverse * right + crossed[:, None] * right[:, ::-1]
+        half = beam.cutoff * np.sqrt(inverse)
+    grazing = determinant < 1e-12
+    return np.where(grazing[:, None], 0.0, centre), np.where(grazing[:, None], np.inf, half)
+
+
+class _FacetKernel:
+    """Material cells as Dr.Jit expressions, one cell a lane."""
+
+    def __init__(self, surface: RoughSurface, cells: _Cells, frame: Frame, lane) -> None:
+        lanes = arrays()
+        self.lanes, self.surface, self.frame = lanes, surface, frame
+        facets = surface.facets
+        if len(cells.facet) == 1:
+            row, block = None, lane
+        else:
+            row = lanes.UInt32(np.repeat(np.arange(len(cells.facet), dtype=np.uint32), np.prod(cells.size, axis=1)))
+            block = lane - self._of_row(cells.start.astype(np.uint32), row, lanes.UInt32)
+        width = self._of_row(cells.size[:, 0].astype(np.float64), row)
+        # An integer division would trap in the padding lanes of the last packet, whose divisor is zero.
+        down = lanes.UInt32(dr.floor((lanes.Float64(block) + 0.5) / width))
+        first = [self._of_row(cells.first[:, k], row, lanes.Int64) for k in range(2)]
+        self.cell = [lanes.Int64(block - down * lanes.UInt32(width)) + first[0], lanes.Int64(down) + first[1]]
+        self.facet_number = self._of_row(cells.facet.astype(np.uint64), row, lanes.UInt64)
+        axes = frame.axes
+        self.local = {name: self._vectors(getattr(facets, name)[cells.facet], row) for name in ("origin", "e1", "e2")}
+        self.normal = self._vectors(facets.normal[cells.facet] @ axes.T, row)
+        self.edges = [[self._of_row(facets.edges[cells.facet, e, k], row) for k in range(3)] for e in range(4)]
+        self.seed = dr.opaque(lanes.UInt64, hashing.seed_word(surface.seed))
+
+    def _of_row(self, values: np.ndarray, row, kind: type | None = None):
+        kind = kind or self.lanes.Float64
+        if row is None:
+            return dr.opaque(kind, values[0].item())
+        return dr.gather(kind, kind(np.ascontiguousarray(values)), row)
+
+    def _vectors(self, values: np.ndarray, row):
+        return self.lanes.Array3f64(*(self._of_row(values[:, k], row) for k in range(3)))
+
+    def material_place(self):
+        """(local, world): place of each scatterer on the mean surface, in the target frame and in the world."""
+        lanes = self.lanes
+        words = [self.facet_number, *(lanes.UInt64(cell) for cell in self.cell)]
+        self.key = hashing.cell_key(self.seed, *words, kind=lanes.UInt64)
+        pitch = opaque(self.surface.density**-0.5)
+        a, b = ((lanes.Float64(cell) + self.uniform(self.key, stream)) * pitch
+                for cell, stream in zip(self.cell, (_PLACE_U, _PLACE_V), strict=True))
+        self.inside = lanes.Bool(True)
+        for p, q, r in self.edges:
+            self.inside &= p * a + q * b <= r
+        local = self.local["origin"] + a * self.local["e1"] + b * self.local["e2"]
+        axes = [opaque_vector(self.frame.axes[:, k]) for k in range(3)]
+        world = opaque_vector(self.frame.origin) + local.x * axes[0] + local.y * axes[1] + local.z * axes[2]
+        return local, world
+
+    def height(self, local):
+        """Heights [mm]: Gaussian, independent or with a Gaussian autocorrelation."""
+        rms = opaque(self.surface.roughness)
+        if self.surface.correlation_length == 0:
+            return rms * self.gaussian(self.key)
+        dimensions = 2 if self.surface.facets.count == 1 else 3
+        return rms * self._correlated([local.x, local.y, local.z][:dimensions])
+
+    def uniform(self, key, stream: int):
+        return self.lanes.Float64(hashing.uniform_bits(key, stream, self.lanes.UInt64)) * 2.0**-53
+
+    def gaussian(self, key):
+        """Standard normal deviates by Box and Muller's transform."""
+        radius = dr.sqrt(-2 * dr.log(1 - self.uniform(key, _HEIGHT_RADIUS)))
+        return radius * dr.cos(2 * np.pi * self.uniform(key, _HEIGHT_ANGLE))
+
+    def _correlated(self, place):
+        """Unit-variance Gaussian noise with autocorrelation exp(-r^2/l^2) at places given by 2 or 3 coordinates.
+
+        White noise on a lattice of pitch l/2 convolved with exp(-2 r^2/l^2), cut off at 2 l where the kernel is
+        3e-4, and divided by the root of its local sum of squares.
+        """
+        lanes, bits = self.lanes, 3
+        reach = 1 << bits
+        length = opaque(self.surface.correlation_length)
+        scaled = [coordinate * (2 / length) for coordinate in place]
+        corner = [lanes.Int64(dr.floor(coordinate)) - (reach // 2 - 1) for coordinate in scaled]
+        seed = dr.opaque(lanes.UInt64, hashing.seed_word(self.surface.seed ^ _LATTICE_SEED))
+
+        def step(number, total, squares):
+            cell = [first + lanes.Int64((number >> (bits * axis)) & (reach - 1)) for axis, first in enumerate(corner)]
+            distance = sum((c - lanes.Float64(k)) ** 2 for c, k in zip(scaled, cell, strict=True))
+            weight = dr.exp(-0.5 * distance)
+            key = hashing.cell_key(seed, *(lanes.UInt64(k) for k in cell), kind=lanes.UInt64)
+            return number + 1, total + weight * self.gaussian(key), squares + weight * weight
+
+        nodes = reach ** len(place)
+        zero = dr.zeros(lanes.Float64, dr.width(scaled[0]))
+        _, total, squares = dr.while_loop(
+            (lanes.UInt32(0), zero, zero + 0), lambda number, *_: number < nodes, step, label="correlated heights"
+        )
+        return total * dr.rsqrt(squares)

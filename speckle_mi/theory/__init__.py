@@ -1,0 +1,49 @@
+"""Closed forms that results are compared with: displacement, decorrelation, statistics of the pattern, paraxial optics."""
+
+from .decorrelation import (
+    beam_displacement_of_material,
+    decorrelation_axial,
+    decorrelation_circular_pupil,
+    decorrelation_in_plane,
+)
+from .displacement import (
+    centre_of_gravity_aperture,
+    first_order_displacement,
+    imaging_displacement,
+    per_degree,
+    project_on_target,
+    spot_displacement,
+)
+from .paraxial import CardinalPoints, cardinal_points, entrance_pupil, exit_pupil, paraxial_image, system_matrix
+from .speckle import (
+    coherence_gaussian_beam,
+    contrast_of_equal_phasors,
+    intensity_pdf,
+    shift_scatter,
+    speckle_shape_gaussian_beam,
+    speckle_size_gaussian_beam,
+)
+
+__all__ = [
+    "CardinalPoints",
+    "beam_displacement_of_material",
+    "cardinal_points",
+    "centre_of_gravity_aperture",
+    "coherence_gaussian_beam",
+    "contrast_of_equal_phasors",
+    "decorrelation_axial",
+    "decorrelation_circular_pupil",
+    "decorrelation_in_plane",
+    "entrance_pupil",
+    "exit_pupil",
+    "first_order_displacement",
+    "imaging_displacement",
+    "intensity_pdf",
+    "paraxial_image",
+    "per_degree",
+    "project_on_target",
+    "shift_scatter",
+    "speckle_shape_gaussian_beam",
+    "speckle_size_gaussian_beam",
+    "system_matrix",
+]

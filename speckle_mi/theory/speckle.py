@@ -1,0 +1,104 @@
+"""Closed forms of a pattern's statistics: contrast, size, coherence, and the scatter of a measured shift."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..geometry.rotation import vectors_across
+from .directions import across_direction, detector_axes, require_lit, require_positive, unit
+
+
+# Statistics of the pattern.
+
+
+def contrast_of_equal_phasors(count: np.ndarray | int) -> np.ndarray:
+    """Contrast sqrt(1 - 1/N) of the intensity of N >= 1 equal phasors of random phase [3]."""
+    count = np.asarray(count, dtype=np.float64)
+    if not np.all(count >= 1):
+        raise ValueError(f"number of phasors {count}: must be 1 or more")
+    return np.sqrt(1 - 1 / count)
+
+
+def intensity_pdf(intensity: np.ndarray, mean: float = 1.0) -> np.ndarray:
+    """Probability density exp(-I/<I>)/<I> of fully developed, polarised speckle; 0 below I = 0 [3]."""
+    mean = require_positive("mean", mean)
+    intensity = np.asarray(intensity, dtype=np.float64)
+    return np.where(intensity >= 0, np.exp(-np.maximum(intensity, 0) / mean) / mean, 0.0)
+
+
+def coherence_gaussian_beam(
+    separation: np.ndarray | float, beam_radius: float, wavelength: float, distance: float
+) -> np.ndarray:
+    """|mu|^2 = exp[-(pi w r/(lambda z))^2] of points r [mm] apart at z [mm] from a spot of 1/e^2 radius w [mm].
+
+    Beam, detector and target all face one another; `speckle_shape_gaussian_beam` is the formula for any tilt. [3]
+    """
+    blur = require_positive("wavelength", wavelength) * require_positive("distance", distance)
+    scale = np.pi * require_positive("beam_radius", beam_radius) / blur
+    return np.exp(-((scale * np.asarray(separation, dtype=np.float64)) ** 2))
+
+
+def speckle_shape_gaussian_beam(
+    beam_radius: float,
+    wavelength: float,
+    spot: np.ndarray,
+    normal: np.ndarray,
+    source_direction: np.ndarray,
+    detector_centre: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+) -> np.ndarray:
+    """(2, 2) matrix K [1/mm^2] of a speckle: |mu|^2 = exp(-d^T K d) for detector points d = (du, dv) [mm] apart.
+
+    Any tilt of beam, target and detector. The path from a surface point p [mm, from the spot] to the two points
+    differs by p . g, g = t Q_O T d; the footprint on the surface is Gaussian with exp(-2 p^T F^-1 p),
+    F = w^2 (t (1 - l_S l_S^T) t^T)^-1; then |mu|^2 = exp[-(pi/lambda)^2 g^T F g] [3].
+    Raises ValueError for grazing light or a detector at the spot.
+    """
+    sight = np.asarray(detector_centre, dtype=np.float64) - np.asarray(spot, dtype=np.float64)
+    distance = require_positive("detector distance", float(np.linalg.norm(sight)))
+    to_laser, normal = unit("source_direction", source_direction), unit("normal", normal)
+    require_lit(to_laser, normal)
+    tangents = vectors_across(normal)
+    footprint = require_positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(
+        tangents @ across_direction(to_laser) @ tangents.T
+    )
+    gradient = tangents @ across_direction(sight / distance) @ detector_axes(u, v) / distance
+    return (np.pi / require_positive("wavelength", wavelength)) ** 2 * gradient.T @ footprint @ gradient
+
+
+def speckle_size_gaussian_beam(
+    beam_radius: float,
+    wavelength: float,
+    spot: np.ndarray,
+    normal: np.ndarray,
+    source_direction: np.ndarray,
+    detector_centre: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+) -> np.ndarray:
+    """(2,) full width at half maximum of |mu|^2 in cuts along u and along v [mm]; see `speckle_shape_gaussian_beam`.
+
+    Everything along the normal: 2 sqrt(ln 2) lambda z/(pi w). inf along a direction in which the light grazes.
+    """
+    shape = speckle_shape_gaussian_beam(
+        beam_radius, wavelength, spot, normal, source_direction, detector_centre, u, v
+    )
+    with np.errstate(divide="ignore"):
+        return 2 * np.sqrt(np.log(2) / np.diag(shape))
+
+
+def shift_scatter(
+    speckle_size_px: float, window_px: float, correlation: np.ndarray | float, factor: float = 0.6
+) -> np.ndarray:
+    """Standard deviation [px] of the measured shift of a pattern: K (s^2/n) sqrt((1 - c)/c).
+
+    speckle_size_px: s; window_px: side n of the correlation window; correlation: peak c, inf from c <= 0;
+    factor: K, about 0.6 for a Gaussian peak fit.
+    """
+    correlation = np.asarray(correlation, dtype=np.float64)
+    lost = np.where(correlation > 0, (1 - correlation) / np.where(correlation > 0, correlation, 1.0), np.inf)
+    scale = (
+        factor * require_positive("speckle_size_px", speckle_size_px) ** 2 / require_positive("window_px", window_px)
+    )
+    return scale * np.sqrt(np.maximum(lost, 0.0))

@@ -1,0 +1,1 @@
+"""Error, stability and run time, measured against references and peers."""

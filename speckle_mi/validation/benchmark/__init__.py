@@ -1,0 +1,1 @@
+"""Run times beside peers, measured in one run."""

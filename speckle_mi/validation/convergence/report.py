@@ -1,0 +1,145 @@
+"""The convergence study in numbers: its table as CSV, everything as JSON, and what the terminal shows."""
+
+from __future__ import annotations
+
+import csv
+import os
+from dataclasses import asdict, fields
+
+import numpy as np
+
+from ...machine.files import replacing, write_json
+from .frame import DOES_NOT_APPLY, LEFT_OUT, MEASURED, Row
+from .scatter import Scatter
+from .study import Study
+
+
+def write_rows(path: str | os.PathLike, rows: list[Row]) -> None:
+    """Writes a row a setting; what was not measured is empty."""
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [column.name for column in fields(Row)])
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({name: "" if value is None else value for name, value in asdict(row).items()})
+
+
+def write_study(
+    path: str | os.PathLike, asked: dict, study: Study, rows: list[Row], scatter: list[Scatter], run: dict
+) -> None:
+    """Writes as JSON what was ``asked`` (scene, defaults), all that was measured, and its ``run`` (machine, time)."""
+    write_json(path, {
+        **asked, "plan": study.plan_lines,
+        "displacement": {"dof": "x", "mm": study.displacement}, "theory_shift_um": study.theory_shift,
+        "exact": {n: {"pixels": s.field.size, "scatterers": s.scatterers, "origin": s.origin, "seconds": s.seconds}
+                  for n, s in study.samples.items() if s is not None},
+        "rows": [asdict(row) for row in rows], "statistics": [asdict(entry) for entry in scatter],
+        **run,
+    })  # fmt: skip
+
+
+def print_report(study: Study, rows: list[Row], scatter: list[Scatter], system: dict[str, str]) -> None:
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=None if os.isatty(1) else 150, highlight=False)
+    for line in study.plan_lines:
+        console.print(f"plan: {line}", markup=False)
+    table = Table(
+        title=f"{study.name}: errors of field, phase and shift; warm and first run times; peak memory",
+        box=box.SIMPLE_HEAD,
+        title_justify="left",
+    )
+    heads = ("N1", "method", "tol. or N2", "field", "phase (waves)", "shift (um)", "- theory", "frame (ms)",
+             "quartiles", "runs", "first", "MB")  # fmt: skip
+    for number, head in enumerate(heads):
+        table.add_column(head, justify="left" if number in (1, 2) else "right", no_wrap=True)
+    shown = [row for row in rows if row.status == MEASURED]
+    for number, row in enumerate(shown):
+        ends = number + 1 == len(shown) or shown[number + 1].point_sources != row.point_sources
+        table.add_row(*_cells(row), end_section=ends)
+    console.print(table)
+    for words in _notes(rows):
+        console.print(words, markup=False)
+    _print_exact(console, study)
+    _print_scatter(console, scatter, study)
+    names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "LLVM")
+    console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
+
+
+def _cells(row: Row) -> list[str]:
+    """The cells of a row that was measured."""
+    quartiles = f"{_ms(row.seconds_q1)} - {_ms(row.seconds_q3)}" if row.runs > 1 else ""
+    shift = "lost" if row.shift_u_um is None else "exact" if row.shift_error_um is None else _sig(row.shift_error_um)
+    return [
+        f"{row.point_sources:,}", row.method, row.accuracy, _sig(row.field_error), _sig(row.phase_error_wavelengths),
+        shift, _sig(row.shift_theory_error_um), _ms(row.seconds_median), quartiles, str(row.runs),
+        _ms(row.seconds_first), "" if row.peak_memory_mb is None else f"{row.peak_memory_mb:.0f}",
+    ]  # fmt: skip
+
+
+def _notes(rows: list[Row]) -> list[str]:
+    """What was left out and why, a line for each method and N1; warnings of what was measured, once each."""
+    groups: dict[tuple[str, int], list[Row]] = {}
+    for row in rows:
+        if row.status != MEASURED:
+            groups.setdefault((row.method, row.point_sources), []).append(row)
+    lines = []
+    for (method, count), group in groups.items():
+        which = (
+            f", {group[0].accuracy}" + (f" to {group[-1].accuracy}" if len(group) > 1 else "")
+            if group[0].accuracy
+            else ""
+        )
+        applies = group[0].status != DOES_NOT_APPLY
+        where = f"{method}, N1 = {count:,}{which}: {group[0].status}, " if applies else ""
+        lines.append(where + group[0].note)
+    if any(row.status == LEFT_OUT for row in rows):
+        lines.append("more of what was left out is measured with more --seconds")
+    return lines + sorted({f"{row.method}: {row.note}" for row in rows if row.status == MEASURED and row.note})
+
+
+def _print_exact(console, study: Study) -> None:
+    held = [f"N1 = {n:,}: {s.field.size} pixels, {s.origin}" for n, s in study.samples.items() if s is not None]
+    console.print("errors of field and phase against: " + "; ".join(held), markup=False)
+    theory = "none" if study.theory_shift is None else "({:.3f}, {:.3f}) um".format(*study.theory_shift)
+    moved = f"shift: target moved {1e3 * study.displacement:.3g} um along x, first-order theory {theory}"
+    console.print(f'{moved}; errors against the most exact frames of each N1 ("exact"), and from theory, '
+                  "which one surface only scatters about", markup=False)  # fmt: skip
+
+
+def _print_scatter(console, scatter: list[Scatter], study: Study) -> None:
+    from rich import box
+    from rich.table import Table
+
+    if not scatter:
+        return
+    table = Table(title="Scatter of the sensitivity over surfaces", box=box.SIMPLE_HEAD, title_justify="left")
+    for number, head in enumerate(("motion", "axis", "N1", "surfaces", "mean", "theory", "one surface ±", "mean ±")):
+        table.add_column(head, justify="left" if number < 2 else "right")
+    for e in scatter:
+        theory = "-" if e.theory is None else f"{e.theory:+.4f}"
+        values = (f"{e.mean:+.4f} {e.unit}", theory, f"{e.spread:.4f}", f"{e.error_of_mean:.4f}")
+        table.add_row(
+            e.dof,
+            e.axis,
+            f"{e.point_sources:,}",
+            str(len(e.slopes)),
+            *(values if e.slopes else ("not measured", theory)),
+        )
+    console.print(table)
+    off = [e for e in scatter if e.off_theory is not None]
+    for e in off:
+        times = abs(e.off_theory) / e.error_of_mean
+        words = f"off theory by {e.off_theory:+.2g} {e.unit}, {times:.1f} standard errors, more than chance explains"
+        console.print(f"{e.dof}, N1 = {e.point_sources:,}: {words}", markup=False)
+    for sentence in study.why_off_theory(off):
+        console.print(sentence, markup=False)
+
+
+def _sig(value: float | None) -> str:
+    return "" if value is None or not np.isfinite(value) else f"{value:.1e}"
+
+
+def _ms(seconds: float) -> str:
+    return f"{1e3 * seconds:,.3g}" if seconds < 1 else f"{1e3 * seconds:,.0f}"

@@ -1,0 +1,1 @@
+"""Stiff and extreme cases against independent references."""

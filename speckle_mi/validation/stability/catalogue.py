@@ -1,0 +1,78 @@
+"""The catalogue of stiff and extreme cases, and its table."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+
+from ...machine.files import replacing, write_json
+from ...machine.progress import progress_bars
+from .case import BROKEN, LIMIT, OK, Check, checks_of
+
+
+def catalogue(quick: bool = False, progress: bool = False) -> Iterator[Check]:
+    """Every check of the catalogue, one after the other; ``quick`` leaves out what takes long."""
+    from . import correlator, illumination, motion, optics, precision, scale, surfaces
+
+    groups = {
+        "scale": scale,
+        "surfaces": surfaces,
+        "motion": motion,
+        "illumination": illumination,
+        "optics": optics,
+        "precision": precision,
+        "correlator": correlator,
+    }
+    cases = [(name, case) for name, group in groups.items() for case in group.CASES if case.in_quick or not quick]
+    with progress_bars(not progress, predicts=False) as bar:
+        task = bar.add_task("cases", total=len(cases))
+        for name, case in cases:
+            bar.update(task, description=f"{name}: {case.name}")
+            yield from checks_of(case, quick)
+            bar.advance(task)
+
+
+def write_table(folder: Path, checks: Sequence[Check], identity: dict) -> None:
+    """Writes stability.csv and stability.json, each whole or not at all."""
+    names = [column.name for column in fields(Check)]
+    with replacing(folder / "stability.csv") as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        writer.writerows(asdict(check) for check in checks)
+    write_json(folder / "stability.json", {"identity": identity, "checks": [asdict(check) for check in checks]})
+
+
+def print_table(checks: Sequence[Check]) -> None:
+    """Prints a row a check, then the limits with the messages that the user gets."""
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    console = Console(width=None if os.isatty(1) else 150, highlight=False)
+    table = Table(box=box.SIMPLE_HEAD)
+    for head in ("case", "quantity", "value", "reference", "error", "bound", "verdict"):
+        table.add_column(head, justify="right" if head in ("value", "reference", "error", "bound") else "left")
+    colours = {OK: "green", LIMIT: "yellow", BROKEN: "bold red"}
+    for check in checks:
+        numbers = (_text(check.value), _text(check.reference), _text(check.error, 2), _text(check.bound, 2))
+        table.add_row(
+            escape(check.case),
+            escape(check.quantity),
+            *map(escape, numbers),
+            f"[{colours[check.verdict]}]{check.verdict}[/]",
+        )
+    console.print(table)
+    for check in checks:
+        if check.message and check.verdict != OK:
+            console.print(f"{check.verdict}: {check.case}, {check.quantity}: {check.message}", markup=False)
+
+
+def _text(value: float | str, digits: int = 6) -> str:
+    if isinstance(value, str):
+        return value
+    return f"{value:.{digits}g}" if math.isfinite(value) else str(value)

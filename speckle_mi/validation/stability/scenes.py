@@ -1,0 +1,218 @@
+"""Scenes for the cases, from directions and distances, and the exact sums they are compared with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ...geometry.frames import Frame
+from ...geometry.plane import PlaneGrid
+from ...geometry.pose import Pose
+from ...geometry.rotation import rotation_matrix
+
+WAVELENGTH = 632.8e-6
+"""Default wavelength [mm]."""
+
+SAMPLED_PIXELS = 400
+"""Pixels on which a field is compared with an exact sum."""
+
+_WORLD = Frame(np.zeros(3), np.eye(3))
+
+
+@dataclass(frozen=True)
+class Part:
+    """An element of the scene. kind: plugin; frame: its place on the bench; values: parameters; inside: further XML."""
+
+    kind: str
+    name: str
+    frame: Frame
+    values: dict
+    inside: str = ""
+    scale: float = 1.0
+
+    def xml(self, bench: Bench) -> str:
+        place = placed(bench.in_world(self.frame), self.scale)
+        return f'<shape type="{self.kind}" id="{self.name}">{place}{parameters(self.values)}{self.inside}</shape>'
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A laser, a target at the origin facing +z, and a detector that looks at it; all parts may be moved together.
+
+    laser_angle, detector_angle: from the normal in the xz plane [deg]; distances [mm]; detector_turn: 180 deg looks at
+    the target, 0 away from it; detector_frame: its place, instead of angle and distance; laser, target, detector,
+    integrator: parameters of the plugins; elements: other parts; world: where the whole bench stands;
+    backwards: writes the parts in the opposite order.
+    """
+
+    laser_angle: float = 35.0
+    laser_distance: float = 50.0
+    detector_angle: float = 0.0
+    detector_distance: float = 60.0
+    detector_turn: float = 180.0
+    detector_frame: Frame | None = None
+    target_frame: Frame = _WORLD
+    laser: dict = field(default_factory=dict)
+    target: dict = field(default_factory=dict)
+    detector: dict = field(default_factory=dict)
+    integrator: dict = field(default_factory=dict)
+    elements: tuple[Part, ...] = ()
+    world: Frame = _WORLD
+    backwards: bool = False
+
+    def xml(self) -> str:
+        """The scene file."""
+        laser = {"wavelength": WAVELENGTH * 1e6, "beam_radius": 0.12, "wavefront_radius": -750.0} | self.laser
+        target = {"roughness": 0.8, "point_sources": 100} | self.target
+        size = {name: self.detector.get(name, 48) for name in ("width", "height")}
+        pitch = {"pixel_pitch": self.detector.get("pixel_pitch", 0.006)}
+        parts = [
+            f'<integrator type="coherent">{parameters(self.integrator)}</integrator>',
+            f'<emitter type="laser" id="laser">{self._place(self.laser_angle, self.laser_distance)}'
+            f"{parameters(laser)}</emitter>",
+            f'<shape type="rough_target" id="target">{placed(self.in_world(self.target_frame))}'
+            f"{parameters(target)}</shape>",
+            f'<sensor type="detector" id="detector">'
+            f"{self._detector_place()}"
+            f'{parameters(pitch)}<film type="hdrfilm">{parameters(size)}</film></sensor>',
+            *(part.xml(self) for part in self.elements),
+        ]
+        return f'<scene version="3.0.0">{"".join(parts[::-1] if self.backwards else parts)}</scene>'
+
+    def assembly(self):
+        """The assembly of the scene."""
+        import mitsuba as mi
+
+        from ...scene.assembly import assembly_from_scene
+
+        return assembly_from_scene(mi.load_string(self.xml()))
+
+    def frame(self, pose: Pose | None = None):
+        """The simulated frame."""
+        from ...field.simulate import simulate_frame
+
+        return simulate_frame(self.assembly(), pose)
+
+    def field(self, pose: Pose | None = None) -> np.ndarray:
+        """The field (rows, columns)."""
+        return self.frame(pose).image.field
+
+    def with_(self, **changes) -> Bench:
+        """Another bench: dictionaries are merged, everything else is replaced."""
+        merged = {
+            name: getattr(self, name) | value if isinstance(value, dict) else value for name, value in changes.items()
+        }
+        return replace(self, **merged)
+
+    def _place(self, angle: float, distance: float, turn: float = 180.0) -> str:
+        """Place at ``distance`` in a direction, its local +z turned back to the origin (for a turn of 180 deg)."""
+        axes = rotation_matrix(np.radians([0.0, angle, 0.0]))
+        facing = axes @ rotation_matrix(np.radians([0.0, turn, 0.0]))
+        return placed(self.in_world(Frame(distance * axes[:, 2], facing)))
+
+    def _detector_place(self) -> str:
+        if self.detector_frame is not None:
+            return placed(self.in_world(self.detector_frame))
+        return self._place(self.detector_angle, self.detector_distance, self.detector_turn)
+
+    def in_world(self, frame: Frame) -> Frame:
+        """A place on the bench as a place in the world."""
+        return Frame(self.world.to_world(frame.origin[None])[0], self.world.axes @ frame.axes)
+
+
+def placed(frame: Frame, scale: float = 1.0) -> str:
+    """``to_world`` of a frame, with a scale for stock shapes."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = scale * frame.axes, frame.origin
+    return (
+        f'<transform name="to_world"><matrix value="{" ".join(repr(float(x)) for x in matrix.ravel())}"/></transform>'
+    )
+
+
+def parameters(values: dict) -> str:
+    """Parameters as XML elements by the type of their values."""
+    kinds = {bool: "boolean", int: "integer", float: "float", str: "string"}
+    texts = {name: str(value).lower() if isinstance(value, bool) else repr(value) for name, value in values.items()}
+    return "".join(
+        f'<{kinds[type(value)]} name="{name}" value="{value if isinstance(value, str) else texts[name]}"/>'
+        for name, value in values.items()
+    )
+
+
+def lens(z: float, **values) -> Part:
+    """A lens with its front vertex on the z axis."""
+    return Part("lens", "lens", _on_axis(z), values)
+
+
+def aperture(z: float, name: str = "stop", **values) -> Part:
+    """An aperture on the z axis."""
+    return Part("aperture", name, _on_axis(z), values)
+
+
+def _on_axis(z: float) -> Frame:
+    return Frame(np.array([0.0, 0.0, z]), np.eye(3))
+
+
+# Exact sums, written down independently of the propagation
+
+
+def sampled_pixels(grid: PlaneGrid, count: int = SAMPLED_PIXELS) -> np.ndarray:
+    """Flat indices (n,) of pixels: all of a small detector, else corners and a random choice."""
+    if grid.size <= count:
+        return np.arange(grid.size)
+    rows, columns = grid.shape
+    corners = [0, columns - 1, (rows - 1) * columns, grid.size - 1]
+    return np.unique(np.append(np.random.default_rng(1).integers(grid.size, size=count), corners))
+
+
+def pixel_centres(grid: PlaneGrid, pick: np.ndarray) -> np.ndarray:
+    """World positions (n, 3) [mm] of pixels by their flat indices."""
+    row, column = np.divmod(pick, grid.shape[1])
+    return grid.origin + grid.pitch * (column[:, None] * grid.u + row[:, None] * grid.v)
+
+
+def exact_sum(position: np.ndarray, amplitude: np.ndarray, places: np.ndarray, wavelength: float) -> np.ndarray:
+    """sum_j c_j e^{ikr}/r at places (m, 3), path lengths in extended precision where the machine has it, (m,)."""
+    out = np.empty(len(places), dtype=np.complex128)
+    extended, unit = position.astype(np.longdouble), np.longdouble(wavelength)
+    for number, place in enumerate(places):
+        r = np.sqrt(np.sum(np.square(place.astype(np.longdouble) - extended), axis=1))
+        turns = r / unit
+        phase = 2 * np.pi * (turns - np.round(turns)).astype(np.float64)
+        terms = amplitude * np.exp(1j * phase) / r.astype(np.float64)
+        out[number] = np.sum(terms.astype(np.clongdouble))
+    return out
+
+
+def exact_laser(beam, points: np.ndarray) -> np.ndarray:
+    """The laser's field at points (n, 3) from its definition, in extended precision, (n,)."""
+    wide = np.longdouble
+    from_reference = points.astype(wide) - beam.reference.astype(wide)
+    axis = beam.axis.astype(wide)
+    axis /= np.sqrt(axis @ axis)
+    along = from_reference @ axis
+    if np.abs(beam.wavefront_radius) > 1e6:
+        # A parabola: the next term of the expansion is below a millionth of a millionth of a millimetre.
+        path = along + (np.sum(np.square(from_reference), axis=1) - along**2) / (2 * wide(beam.wavefront_radius))
+    else:
+        radius = wide(beam.wavefront_radius)
+        centre = beam.reference.astype(wide) - radius * axis
+        distance = np.sqrt(np.sum(np.square(points.astype(wide) - centre), axis=1))
+        path = np.sign(radius) * (distance - np.abs(radius))
+    turns = (path + wide(beam.reference_path)) / wide(beam.wavelength)
+    across = np.sum(np.square(from_reference), axis=1) - along**2
+    amplitude = 1.0 if np.isinf(beam.radius) else np.exp(-(across / wide(beam.radius) ** 2).astype(np.float64))
+    return amplitude * np.exp(2j * np.pi * (turns - np.round(turns)).astype(np.float64))
+
+
+def against_exact_sum(bench: Bench, pose: Pose | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Field and exact sum of the same scatterers on sampled pixels of a bench in free space, (n,) each."""
+    from ...field.simulate import simulate_frame
+
+    assembly = bench.assembly()
+    frame = simulate_frame(assembly, pose)
+    pick = sampled_pixels(assembly.detector)
+    places, lit = pixel_centres(assembly.detector, pick), frame.scatterers
+    reference = exact_sum(lit.position, lit.amplitude, places, assembly.beam.wavelength)
+    return frame.image.field.ravel()[pick], reference
