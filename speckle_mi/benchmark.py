@@ -81,7 +81,7 @@ def _assembly(options):
     """The tilted laser, on few pixels if it is to be quick."""
     import mitsuba as mi
 
-    from .scene.assembly import assembly_from_scene
+    from .scene.read import assembly_from_scene
     from .machine.backend import set_variant
 
     set_variant(options.variant)

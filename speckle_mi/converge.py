@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder = require_folder(options.out)
     scene = load_scene(options.scene, options.defaults, options.variant)
     # Not before the arguments are known to be good: these bring Mitsuba and matplotlib with them.
-    from .scene.assembly import assembly_from_scene
+    from .scene.read import assembly_from_scene
     from .validation.convergence.plots import plot_convergence, plot_scatter
     from .validation.convergence.report import print_report, write_rows, write_study
     from .validation.convergence.study import Allowance, Study

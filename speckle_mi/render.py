@@ -47,8 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     require_distinct(SCENE=options.scene, output=options.output, sources=options.sources)
 
     scene = load_scene(options.scene, options.defaults, options.variant)
-    from .scene.assembly import assembly_from_scene
-    from .field.simulate import simulate_frame
+    from .scene.read import assembly_from_scene
+    from .field.simulation import simulate_frame
 
     assembly = assembly_from_scene(scene, spp=options.spp)
     settings = {

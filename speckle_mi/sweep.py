@@ -33,7 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
     scene = load_scene(options.scene, options.defaults, options.variant)
     from .report import sweep_report as report
-    from .scene.assembly import assembly_from_scene
+    from .scene.read import assembly_from_scene
 
     assembly = assembly_from_scene(scene)
     settings = _with_seeds(settings, assembly.seed, options.seeds)

@@ -21,12 +21,12 @@ from exact_optics import (
 )
 from scipy.optimize import brentq
 
-from speckle_mi.field import simulate, stages as fields
+from speckle_mi.field import simulation as simulate, stages as fields
 from speckle_mi.plan import plan
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH

@@ -21,11 +21,11 @@ from scene_builder import (
 )
 
 from speckle_mi.machine import llvm
-from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.read import assembly_from_scene
 from speckle_mi.scene.errors import one_line
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
-from speckle_mi.field.simulate import simulate
+from speckle_mi.field.simulation import simulate
 
 ABOVE = frame_along(-direction(0), 50 * direction(0), np.array([1.0, 0, 0]))
 CAMERA = detector_frame(direction(0), 60.0)

@@ -18,7 +18,7 @@ from speckle_mi.measurement.correlator import Correlator
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from speckle_mi.geometry.rotation import rotation_matrix
-from speckle_mi.field.simulate import simulate
+from speckle_mi.field.simulation import simulate
 from speckle_mi.measurement.speckle_statistics import contrast, speckle_size
 
 FIRST_ORDER = json.loads((Path(__file__).parent / "reference" / "first_order.json").read_text())["cases"]

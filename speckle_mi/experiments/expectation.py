@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import theory
-from ..field.simulate import plan_of
+from ..field.simulation import plan_of
 from ..geometry.outline import Circle
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..optics.aim import aim

@@ -170,7 +170,7 @@ def _finished_image(path: Path, assembly, pose: Pose) -> FieldImage | None:
 
 
 def _simulated(assembly, pose: Pose, result: SweepResult):
-    from ..field.simulate import simulate_frame
+    from ..field.simulation import simulate_frame
 
     frame = simulate_frame(assembly, pose)
     result.plan = result.plan or frame.plan

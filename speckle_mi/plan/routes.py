@@ -10,24 +10,22 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass
 
-import mitsuba as mi
 import numpy as np
 
-from ..geometry.frames import Frame
 from ..geometry.rotation import vectors_across
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
-from ..scene.assembly import Assembly
+from .setup import Setup
+from .tracer import TARGET
 from ..scene.elements import Element
-from ..scene.parameters import value_of
 
 MAX_INTERACTIONS = 32
 """Rays that have not arrived after this many surfaces are given up."""
 
-TARGET, NOTHING, _GONE = -1, -2, -3
-"""What a ray meets next besides an element: the target, nothing, or that it is no more."""
+_GONE = -3
+"""What a ray meets next that is no more, besides ``TARGET`` and ``NOTHING``."""
 
 _FAR = 1e30
 """Distance that stands for the detector's plane beside its area: behind every shape."""
@@ -78,26 +76,24 @@ class Arrivals:
     stopped: Counter
 
 
-def find_routes(assembly: Assembly) -> Arrivals:
+def find_routes(setup: Setup) -> Arrivals:
     """The routes from the spot, with the target where it stands in the scene, to the detector's area.
 
     A route counts if a test ray takes it to that area, or one that passes the area by can be aimed at it. Where
     there is none, the routes to the detector's plane beside it are given: diffraction may still reach it.
     """
-    frame = assembly.scene_frame
-    directions = _test_directions(assembly, frame)
+    directions = _test_directions(setup)
     # A little off the middle: rays along an axis of symmetry would meet vertices of meshes, where facets leak.
-    spot, normal = assembly.spot_at(frame)
-    clearance = _clearance(assembly)
-    start = spot + clearance * (normal + 3.7 * frame.axes[:, 0] + 7.1 * frame.axes[:, 1])
-    rays = _follow(assembly, start, directions, clearance)
-    arrived, passed_by = _routes(assembly.elements, rays.arrived), _routes(assembly.elements, rays.passed_by)
+    clearance, axes = _clearance(setup), setup.frame.axes
+    start = setup.spot.point + clearance * (setup.spot.normal + 3.7 * axes[:, 0] + 7.1 * axes[:, 1])
+    rays = _follow(setup, start, directions, clearance)
+    arrived, passed_by = _routes(setup.assembly.elements, rays.arrived), _routes(setup.assembly.elements, rays.passed_by)
     # Few rays may be a leak between the facets of a mesh, or a narrow way: aiming tells.
     enough = _STRAY_SHARE * max((route.rays for route in arrived), default=0)
     sure = [route for route in arrived if route.rays > enough]
     known = {route.steps for route in sure}
     for route in (*arrived, *passed_by):
-        if route.steps not in known and _can_be_aimed(assembly, start, clearance, route):
+        if route.steps not in known and _can_be_aimed(setup, start, clearance, route):
             sure.append(route)
             known.add(route.steps)
     # Of the ways beside the detector the straight one is of no use: nothing on it could diffract its light.
@@ -105,29 +101,30 @@ def find_routes(assembly: Assembly) -> Arrivals:
     return Arrivals(tuple(sure) or beside, bool(sure), rays.stopped)
 
 
-def _clearance(assembly: Assembly) -> float:
+def _clearance(setup: Setup) -> float:
     """Distance [mm] by which a ray starts off a surface: above what single precision rounds the scene's places by."""
-    box = assembly.scene.bbox()
-    largest = float(np.max(np.abs([np.array(box.min), np.array(box.max)])))
+    assembly = setup.assembly
+    parts = [element.body.reach for element in assembly.elements]
+    largest = max([*parts, *np.abs(assembly.detector.centre), *np.abs(setup.frame.origin), *np.abs(assembly.beam.origin)])
     return max(_CLEARANCE, 16 * float(np.finfo(np.float32).eps) * largest)
 
 
-def _follow(assembly: Assembly, start: np.ndarray, directions: np.ndarray, clearance: float) -> _Rays:
+def _follow(setup: Setup, start: np.ndarray, directions: np.ndarray, clearance: float) -> _Rays:
     """Rays from one place (3,) along directions (n, 3) to their ends."""
     rays = _Rays(np.broadcast_to(start, directions.shape).copy(), directions.copy(), clearance)
     for _ in range(MAX_INTERACTIONS):
         if not np.any(rays.alive):
             break
-        _advance(assembly, rays)
+        _advance(setup, rays)
     return rays
 
 
-def _can_be_aimed(assembly: Assembly, start: np.ndarray, clearance: float, route: Route) -> bool:
+def _can_be_aimed(setup: Setup, start: np.ndarray, clearance: float, route: Route) -> bool:
     """Whether the middle or a corner of the detector is reached over a route, inside all outlines.
 
     The aimed ray is followed through the scene again: another element may stand in its way.
     """
-    grid = assembly.detector
+    grid = setup.assembly.detector
     half_u, half_v = 0.5 * grid.pitch * (grid.shape[1] - 1), 0.5 * grid.pitch * (grid.shape[0] - 1)
     signs = ((0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1))
     targets = np.array([grid.centre + a * half_u * grid.u + b * half_v * grid.v for a, b in signs])
@@ -138,7 +135,7 @@ def _can_be_aimed(assembly: Assembly, start: np.ndarray, clearance: float, route
     free = aimed.converged & np.all(aimed.margins >= 0, axis=0)
     if not np.any(free):
         return False
-    again = _follow(assembly, start, aimed.launch[free], clearance)
+    again = _follow(setup, start, aimed.launch[free], clearance)
     return route.steps in again.arrived or route.steps in again.passed_by
 
 
@@ -189,22 +186,21 @@ class _Rays:
         self.stopped[name] += len(index)
 
 
-def _test_directions(assembly: Assembly, frame: Frame) -> np.ndarray:
+def _test_directions(setup: Setup) -> np.ndarray:
     """Directions (n, 3): towards the detector, towards every element, and evenly over the hemisphere of the target.
 
     The user's own scatterers radiate to all sides.
     """
-    (spot, normal), grid = assembly.spot_at(frame), assembly.detector
+    spot, normal, grid = setup.spot.point, setup.spot.normal, setup.assembly.detector
     half_u, half_v = grid.half_size
     side = (np.arange(_DETECTOR_RAYS) + 0.5) / _DETECTOR_RAYS * 2 - 1
     a, b = (values.ravel() for values in np.meshgrid(side, side))
     targets = [grid.centre[None], grid.centre + a[:, None] * half_u * grid.u + b[:, None] * half_v * grid.v]
-    for element in assembly.elements:
+    for element in setup.assembly.elements:
         targets += [points_on(face) for face in element.faces]
-        corners = np.array([element.shape.bbox().min, element.shape.bbox().max], dtype=np.float64)
-        targets.append(0.5 * (corners[:1] + corners[1:]))
+        targets.append(element.body.bounds.mean(axis=0, keepdims=True))
     towards = np.concatenate(targets) - spot
-    all_around = assembly.target.points is not None
+    all_around = setup.assembly.target.points is not None
     count = (2 if all_around else 1) * _HEMISPHERE_RAYS
     number = np.arange(count) + 0.5
     # Fibonacci lattice: even over the sphere.
@@ -232,12 +228,12 @@ def points_on(face: Surface) -> np.ndarray:
     return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
 
 
-def _advance(assembly: Assembly, rays: _Rays) -> None:
+def _advance(setup: Setup, rays: _Rays) -> None:
     """Takes every living ray to the next thing it meets."""
-    elements = assembly.elements
+    elements = setup.assembly.elements
     index = np.flatnonzero(rays.alive)
-    number, reach = _next_shapes(assembly, rays, index)
-    detector, inside = _distance_to_detector(assembly, rays.origin[index], rays.direction[index])
+    number, reach = _next_shapes(setup, rays, index)
+    detector, inside = _distance_to_detector(setup, rays.origin[index], rays.direction[index])
     _pass_openings(elements, rays, index, np.minimum(reach, detector))
     kept = rays.alive[index]
     index, number, reach, detector, inside = index[kept], number[kept], reach[kept], detector[kept], inside[kept]
@@ -282,28 +278,16 @@ def _pass_openings(elements: tuple[Element, ...], rays: _Rays, index: np.ndarray
             rays.take(chosen, (number, 0, "pass"), interaction)
 
 
-def _next_shapes(assembly: Assembly, rays: _Rays, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _next_shapes(setup: Setup, rays: _Rays, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Number of the element each ray meets next, or TARGET or NOTHING, and its distance [mm]."""
-    single = [
-        np.ascontiguousarray(rays.origin[index].T, np.float32),
-        np.ascontiguousarray(rays.direction[index].T, np.float32),
-    ]
-    ray = mi.Ray3f(mi.Point3f(*map(mi.Float, single[0])), mi.Vector3f(*map(mi.Float, single[1])))
-    hit = assembly.obstacles.ray_intersect_preliminary(ray)
-    distance = np.array(hit.t, dtype=np.float64)
-    number = np.full(len(index), NOTHING)
-    for place, element in enumerate(assembly.elements):
-        number[np.array(hit.shape == mi.ShapePtr(element.shape))] = place
-    number[np.array(hit.shape == mi.ShapePtr(assembly.target.shape))] = TARGET
-    distance[number == NOTHING] = np.inf
-    return number, distance
+    return setup.tracer.nearest(rays.origin[index], rays.direction[index], setup.frame)
 
 
 def _distance_to_detector(
-    assembly: Assembly, origin: np.ndarray, direction: np.ndarray
+    setup: Setup, origin: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distance [mm] to the detector's plane along rays that come from its front, else inf; and whether in its area."""
-    grid = assembly.detector
+    grid = setup.assembly.detector
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = direction @ grid.normal
         distance = (grid.centre - origin) @ grid.normal / slope
@@ -326,7 +310,7 @@ def screen_crossing(
         distance = -local[:, 2] / slope[:, 2]
         x, y = (local[:, k] + distance * slope[:, k] for k in (0, 1))
         hole = np.all(face.outline.margins(x, y) >= 0, axis=0)
-        screen = np.hypot(x, y) <= value_of(element.shape.outer_radius)
+        screen = np.hypot(x, y) <= element.screen_radius
     met = distance > clearance / 2
     return np.where(met, distance, np.inf), met & hole, met & screen & ~hole
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ...field.lobe import lobe_towards
-from ...field.simulate import simulate_frame
+from ...field.simulation import simulate_frame
 from ...geometry.plane import PlaneGrid
 from ...geometry.pose import Pose
 from ...propagation.paths import FreeSpace

@@ -56,7 +56,7 @@ def focus_on_the_target(quick: bool):
 
 def focus_on_the_detector(quick: bool):
     """A smooth target under a beam that converges on the detector: density pi w^2 / z there, spot lambda z / (pi w)."""
-    from ...field.simulate import simulate
+    from ...field.simulation import simulate
 
     z, w = 60.0, 0.12
     bench = Bench(
