@@ -13,7 +13,8 @@ from rich.text import Text
 WIDTH = 150
 """Characters a line where the output goes into a file or a pipe, which have no width of their own."""
 
-MACHINE = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "numba", "LLVM")
+MACHINE = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "numba",
+           "LLVM")  # fmt: skip
 """What run times depend on, by its name in :func:`speckle_mi.machine.system.system_information`."""
 
 
@@ -33,8 +34,8 @@ def print_table(
 ) -> None:
     """Prints rows of cells under their heads, never cut off; a short row is filled up with empty cells.
 
-    left: columns with words in them, the others hold numbers and stand flush right; group_by: a column, a line is
-    drawn wherever its cell changes. A cell in colour is a ``Text``.
+    left: columns with words in them, the others hold numbers and stand flush right; group_by: a column, rows
+    stand apart wherever its cell changes. A cell in colour is a ``Text``.
     """
     table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
     for number, head in enumerate(heads):
