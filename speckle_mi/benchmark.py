@@ -17,8 +17,9 @@ from dataclasses import asdict
 
 from .command_line import add_force, command, parser, say
 from .machine.files import identity_in, refuse_other_settings, require_output, write_json
+from .report.terminal import print_machine, terminal
 from .validation.benchmark.study import PEER_SECONDS, QUICK_PEER_SECONDS, SCENE, TOLERANCE, Bench, Entry
-from .validation.benchmark.tables import new_console, print_costs, print_pieces, print_scaling, print_sums
+from .validation.benchmark.tables import print_costs, print_pieces, print_scaling, print_sums
 
 SCATTERERS, QUICK_SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000), (100, 1_000)
 PIXELS, QUICK_PIXELS = (744, 480), (186, 120)
@@ -44,11 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.system import system_information
 
     begin = time.perf_counter()
-    console = new_console(options.quiet)
+    console = terminal(options.quiet)
     system = system_information() | {"numba": _numba_version()}
-    names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "numba",
-             "LLVM")  # fmt: skip
-    console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
+    print_machine(console, system)
     # Every part is shown and kept when it is done: an interrupt loses no more than the part it falls into.
     content = {"identity": identity, "pixels": list(bench.grid.shape[::-1]), "tolerance": TOLERANCE, "system": system}
 

@@ -9,7 +9,7 @@ from .command_line import add_force, command, parser, say
 from .machine.files import identity_in, refuse_other_settings, require_folder
 from .machine.interrupt import keeping
 from .validation.stability.case import BROKEN, LIMIT, Check
-from .validation.stability.catalogue import catalogue, print_table, write_table
+from .validation.stability.catalogue import catalogue, print_checks, write_table
 
 BOUND_BROKEN = 1
 """Exit status when a case breaks its bound."""
@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for check in catalogue(options.quick, progress=not options.quiet):
             checks.append(check)
     if not options.quiet:
-        print_table(checks)
+        print_checks(checks)
     broken = sum(check.verdict == BROKEN for check in checks)
     limits = sum(check.verdict == LIMIT for check in checks)
     say(options, f"{len(checks)} checks: {len(checks) - broken - limits} ok, {limits} limits, {broken} broken")

@@ -8,7 +8,6 @@ from exact_optics import diffracted, disc_nodes, spherical
 from numpy.polynomial.legendre import leggauss
 from scipy.optimize import brentq
 
-from speckle_mi.field import simulation
 from speckle_mi.measurement.correlator import Correlator
 from speckle_mi.measurement.speckle_statistics import centre_of_gravity
 from speckle_mi.experiments.expectation import expected_sensitivity
@@ -212,7 +211,6 @@ def test_free_space_launches_no_ray(shipped, monkeypatch):
     from speckle_mi.plan import plan
 
     monkeypatch.setattr(plan, "find_routes", lambda *_: pytest.fail("a ray was launched"))
-    monkeypatch.setattr(simulation, "_plans", {})
     frame = simulate_frame(shipped("tilted_laser", width=32, height=32))
     assert "no ray is launched" in frame.plan[0]
 

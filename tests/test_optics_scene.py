@@ -320,7 +320,10 @@ def test_an_aperture_far_larger_than_the_light_diffracts_nothing(shipped, monkey
 
 def test_plan_is_kept_with_the_image(shipped):
     header = simulate.simulate(shipped("folded", width=8, height=8)).header
-    assert "unfolded: plane mirror" in header["plan"]
+    unfolded, *_ = [stage for stage in header["plan"] if stage["kind"] == "unfolded"]
+    assert unfolded["elements"] == ["mirror"] and unfolded["way"] == "target - mirror - detector"
+    done, *_ = [stage for stage in header["plan"] if stage["kind"] == "sum"]
+    assert done["how"]["points"] == 64 and 0 < done["error"] < 1e-4 and done["seconds"] > 0
 
 
 # Refusals

@@ -101,7 +101,7 @@ def test_a_scene_may_be_given_as_a_dictionary(mitsuba):
         # look_at works in single precision: 1e-7 of the direction, and of 50 mm or more.
         np.testing.assert_allclose(assembly.beam.axis, -laser / 50, atol=1e-6)
         np.testing.assert_allclose(assembly.detector.centre, eye, atol=1e-5)
-        np.testing.assert_allclose(assembly.target.spot, 0, atol=1e-4)
+        np.testing.assert_allclose(assembly.spot.point, 0, atol=1e-4)
     assert np.array(mitsuba.render(scene)).shape == (16, 24, 3)
 
 

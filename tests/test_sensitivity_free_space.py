@@ -68,8 +68,8 @@ def first_order(assembly):
     target, grid = assembly.target, assembly.detector
     return theory.per_degree(
         theory.first_order_displacement(
-            target.spot, target.frame.origin, target.frame.axes, -assembly.beam.axis, assembly.beam.wavefront_radius,
-            grid.centre, grid.u, grid.v, target.spot_normal,
+            assembly.spot.point, target.frame.origin, target.frame.axes, -assembly.beam.axis, assembly.beam.wavefront_radius,
+            grid.centre, grid.u, grid.v, assembly.spot.normal,
         )
     )
 
@@ -123,7 +123,7 @@ def test_rotation_about_an_origin_outside_the_beam_moves_the_spot_as_well(assemb
     )
     assembly = assemble(text)
     np.testing.assert_allclose(assembly.target.frame.origin, frame.origin)
-    np.testing.assert_allclose(assembly.target.spot, np.zeros(3), atol=1e-9)
+    np.testing.assert_allclose(assembly.spot.point, np.zeros(3), atol=1e-9)
     assert_agrees(measured_sensitivities(assembly), first_order(assembly))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.linalg import qr, solve_triangular
 
 from ..plan.setup import Setup
+from ..scattering.beam import Beam
 from ..scattering.rough_surface import Scatterers
 from ..scene.errors import SceneError
 
@@ -49,14 +50,17 @@ class Lobe:
                 f"{where}: 'lobe' needs a rough BSDF, {self._bsdf.class_name()} reflects like a mirror only"
             )
 
-    def amplitude(self, setup: Setup, normals: np.ndarray, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    def amplitude(
+        self, beam: Beam, axes: np.ndarray, normals: np.ndarray, points: np.ndarray, directions: np.ndarray
+    ) -> np.ndarray:
         """sqrt(f cos) (n, m) of the BSDF f at facets from the laser towards directions (n, m, 3) of any length.
 
-        normals: (n, 3) unit normals; points: (n, 3) places on the facets [mm]; all in the world.
+        beam: that lights them; axes: (3, 3) the target's x, y, z; normals: (n, 3) unit normals; points: (n, 3) places on
+        the facets [mm]; all in the world.
         """
-        tangents = _tangents(setup.frame.axes, normals)
+        tangents = _tangents(axes, normals)
         local = np.stack([tangents, np.cross(normals, tangents), normals], axis=1)
-        incoming = np.einsum("nij,nj->ni", local, setup.assembly.beam.directions_to_source(points))
+        incoming = np.einsum("nij,nj->ni", local, beam.directions_to_source(points))
         directions = directions / np.linalg.norm(directions, axis=2, keepdims=True)
         amplitude = np.empty(directions.shape[:2])
         step = max(1, EVALUATED_AT_ONCE // directions.shape[1])
@@ -87,15 +91,16 @@ class Lobe:
         The lobes of few facets stand for all, by a pivoted QR of what each sends to the samples (interpolative
         decomposition: H. Cheng et al., SIAM J. Sci. Comput. 26 (2005) 1389, doi:10.1137/030602678).
         """
-        normals, points, facet = _facets_of(setup, scatterers)
+        normals, points, facet = facets_of(scatterers, setup.spot.point)
+        light = setup.assembly.beam, setup.frame.axes
 
         def towards(number: int) -> Callable[[np.ndarray], np.ndarray]:
             one = slice(number, number + 1)
-            return lambda places: self.amplitude(setup, normals[one], points[one], launch(points[one], places))[0]
+            return lambda places: self.amplitude(*light, normals[one], points[one], launch(points[one], places))[0]
 
         if len(normals) == 1:
             return (LobeTerm(1.0, towards(0)),)
-        table = self.amplitude(setup, normals, points, launch(points, samples))
+        table = self.amplitude(*light, normals, points, launch(points, samples))
         _, triangle, order = qr(table.T, mode="economic", pivoting=True)
         size = np.abs(np.diag(triangle))
         rank = max(1, int(np.count_nonzero(size > SHARE * tolerance * size[0])))
@@ -105,10 +110,13 @@ class Lobe:
         return tuple(LobeTerm(coefficients[facet, k], towards(order[k])) for k in range(rank))
 
 
-def _facets_of(setup: Setup, scatterers: Scatterers) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normals and middles (f, 3) of the facets that scatterers lie on, and the number (n,) of each one's facet."""
+def facets_of(scatterers: Scatterers, spot: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Normals and middles (f, 3) of the facets that scatterers lie on, and the number (n,) of each one's facet.
+
+    spot: (3,) middle of what scatters on a flat patch [mm].
+    """
     if scatterers.on_plane:  # the spot's middle stands for all of a flat patch
-        return scatterers.normal[:1], setup.spot.point[None], np.zeros(scatterers.count, dtype=np.int64)
+        return scatterers.normal[:1], spot[None], np.zeros(scatterers.count, dtype=np.int64)
     normals, facet = np.unique(scatterers.normal, axis=0, return_inverse=True)
     facet = facet.ravel()
     count = np.bincount(facet)[:, None]

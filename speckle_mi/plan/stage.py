@@ -54,6 +54,16 @@ class Stage:
         content = asdict(self) | {"how": asdict(self.how) if self.how else None}
         return {name: value for name, value in content.items() if value not in (None, "", ())}
 
+    @classmethod
+    def from_json(cls, content: dict) -> Stage:
+        """The stage that ``to_json`` has written."""
+        how = content.get("how")
+        if how is not None:
+            missed = tuple((kind, error) for kind, error in how["missed"])
+            lists = {name: tuple(value) for name, value in how.items() if isinstance(value, (list, tuple))}
+            how = How(**how | lists | {"missed": missed})
+        return cls(**content | {"how": how, "elements": tuple(content.get("elements", ()))})
+
 
 def in_words(stage: Stage) -> str:
     """A stage in one line."""
