@@ -26,6 +26,13 @@ class Circle:
         """Signed clearance 1 - r^2/R^2, (1, n): positive inside, zero exactly on the rim, smooth everywhere."""
         return 1.0 - (x * x + y * y)[None] / self.radius**2
 
+    is_round = True
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Its middle in local x and y [mm]."""
+        return 0.0, 0.0
+
     @property
     def half_size(self) -> tuple[float, float]:
         """Half the extent along x and y [mm]."""
@@ -67,6 +74,13 @@ class Rectangle:
         Two functions, not their minimum, which has kinks, nor their product, which is positive again outside a corner.
         """
         return np.stack([1.0 - (x / self.half_x) ** 2, 1.0 - (y / self.half_y) ** 2])
+
+    is_round = False
+
+    @property
+    def middle(self) -> tuple[float, float]:
+        """Its middle in local x and y [mm]."""
+        return 0.0, 0.0
 
     @property
     def half_size(self) -> tuple[float, float]:

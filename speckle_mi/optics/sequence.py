@@ -18,7 +18,9 @@ class Interaction:
 
     action: "refract" (Snell's law), "reflect" (mirror), "pass" (a place the light goes straight through: an aperture, a
     reference plane, the detector); index_before, index_after: refractive indices of the segments on its way in and out;
-    root: which crossing of the surface is meant, see ``Surface.intersect``.
+    root: which crossing of the surface is meant, see ``Surface.intersect``; near: (3,) where on the surface its light is,
+    in its own frame [mm], None for the vertex; slack: how far [mm] it may lie behind the one before, as where a stop cuts
+    through the curved face of a lens.
     Build with ``Interaction.refract``, ``.reflect``, ``.through``.
     """
 
@@ -27,6 +29,8 @@ class Interaction:
     index_before: float = 1.0
     index_after: float = 1.0
     root: Literal["vertex", "near", "far"] = "vertex"
+    near: np.ndarray | None = None
+    slack: float = 0.0
 
     def __post_init__(self) -> None:
         if self.action not in ("refract", "reflect", "pass"):
@@ -46,6 +50,12 @@ class Interaction:
             raise ValueError(
                 f"root {self.root!r} needs a closed surface: a sphere or spheroid (curvature not 0, conic > -1)"
             )
+
+    @property
+    def place(self) -> np.ndarray:
+        """(3,) where its light is, world [mm]."""
+        frame = self.surface.frame
+        return frame.origin if self.near is None else frame.to_world(self.near[None])[0]
 
     @classmethod
     def refract(cls, surface: Surface, index_before: float, index_after: float, root: str = "vertex") -> Interaction:
