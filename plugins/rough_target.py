@@ -121,6 +121,7 @@ class RoughTarget(mi.Mesh):
         vertices, faces = self._read_form(props)
         self.points = self._read_points(props)
         self.precise_transforms: dict[str, np.ndarray] = {}
+        self.bsdf_recipe: dict | None = None
         super().__init__(props)
         self.rest_vertices = vertices
         fill_mesh(self, self._place(), vertices, faces)
