@@ -17,7 +17,8 @@ class Element:
 
     name: its id; kind: "opening" (a hole in a screen), "mirror", "glass" or "opaque"; faces: its optical surfaces; body:
     its form as rays meet it; index: refractive index inside glass; closed: whether the one face is a whole sphere;
-    screen_radius: where the screen around an opening ends [mm].
+    screen_radius: where the screen around an opening ends [mm]; amplitude: factor of the light's amplitude at each
+    reflection by a mirror or refraction at a face of glass.
     """
 
     name: str
@@ -27,6 +28,7 @@ class Element:
     index: float = 1.0
     closed: bool = False
     screen_radius: float | None = None
+    amplitude: float = 1.0
 
     @property
     def size(self) -> float:
@@ -46,13 +48,13 @@ class Element:
         return np.where(distance[nearest, np.arange(len(points))] < 1e-3 * self.size, nearest, -1)
 
     def interaction(self, face: int, inside: bool) -> Interaction:
-        """What happens to light at a face, coming from inside the glass or from outside."""
+        """What happens to light at a face, coming from inside the glass or closed mirror or from outside."""
         surface = self.faces[face]
-        if self.kind == "mirror":
-            return Interaction.reflect(surface, root="near" if self.closed else "vertex")
         root = ("far" if inside else "near") if self.closed else "vertex"
+        if self.kind == "mirror":
+            return Interaction.reflect(surface, root=root, amplitude=self.amplitude)
         before, after = (self.index, 1.0) if inside else (1.0, self.index)
-        return Interaction.refract(surface, before, after, root=root)
+        return Interaction.refract(surface, before, after, root=root, amplitude=self.amplitude)
 
 
 def _distance(face: Surface, local: np.ndarray) -> np.ndarray:
