@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frames import Frame
-from ..geometry.outline import Circle, Rectangle
+from ..geometry.outline import Circle, OffsetCircle, Rectangle
 
 ORTHONORMAL_TOLERANCE = 1e-6
 """Axes further from orthonormal than this are a mistake; closer ones are rounding and are made exact."""
@@ -33,7 +33,7 @@ class Surface:
     frame: Frame
     curvature: float = 0.0
     conic: float = 0.0
-    outline: Circle | Rectangle | None = None
+    outline: Circle | OffsetCircle | Rectangle | None = None
 
     def __post_init__(self) -> None:
         axes = np.asarray(self.frame.axes, dtype=np.float64)
@@ -60,6 +60,14 @@ class Surface:
     @property
     def is_plane(self) -> bool:
         return self.curvature == 0.0
+
+    @property
+    def middle(self) -> np.ndarray:
+        """World point (3,) of the surface in the middle of its outline: the vertex, but for a part beside the axis."""
+        if self.outline is None:
+            return self.frame.origin
+        x, y = self.outline.centre
+        return self.frame.to_world(np.array([[x, y, self.sag(x * x + y * y)]]))[0]
 
     def sag(self, squared: np.ndarray) -> np.ndarray:
         """Height (n,) [mm] above the vertex plane at squared distances (n,) [mm^2] from the axis.

@@ -123,9 +123,9 @@ class _Paths:
 def hole_places(face: Surface, shares: tuple[float, ...], angles: int) -> np.ndarray:
     """World points (n, 3) on an opening: its middle, and rings at shares of the way to the rim."""
     angle = 2 * np.pi * np.arange(angles) / angles
-    rim = np.array(face.outline.edge(angle)) - np.array(face.outline.middle)[:, None]
+    rim = np.array(face.outline.edge(angle)) - np.array(face.outline.centre)[:, None]
     local = [np.zeros((2, 1)) if share == 0 else share * rim for share in shares]
-    x, y = np.concatenate(local, axis=1) + np.array(face.outline.middle)[:, None]
+    x, y = np.concatenate(local, axis=1) + np.array(face.outline.centre)[:, None]
     return face.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
 
 

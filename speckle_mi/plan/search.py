@@ -296,7 +296,7 @@ class Search:
         if not closed:
             sag = float(face.sag(np.array((0.7 * face.outline.reach) ** 2)))
             plane = Surface(Frame(face.frame.origin + sag * face.frame.axes[:, 2], face.frame.axes))
-            return plane, _on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), _SPREAD, face.outline.middle)
+            return plane, _on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), _SPREAD, face.outline.centre)
         radius = 1 / abs(face.curvature)
         centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
         last = sequence.interactions[-1].place if sequence.interactions else sequence.starts[0][0]
@@ -402,7 +402,7 @@ def _on_face(face: Surface, closed: bool, share: np.ndarray) -> np.ndarray:
     disc = share * (np.maximum(np.abs(share).max(axis=1), 1e-300) / np.maximum(np.hypot(*share.T), 1e-300))[:, None]
     disc[np.all(share == 0, axis=1)] = 0
     half = np.array(face.outline.half_size)
-    x, y = (np.array(face.outline.middle)[:, None] + (half * (disc if face.outline.is_round else share)).T)
+    x, y = (np.array(face.outline.centre)[:, None] + (half * (disc if face.outline.is_round else share)).T)
     return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
 
 

@@ -15,7 +15,8 @@ class Element:
 
     name: its id; kind: "opening" (a hole in a screen), "mirror", "glass" or "opaque"; faces: its optical surfaces; body:
     its form as rays meet it; index: refractive index inside glass; closed: whether the one face is a whole sphere;
-    screen_radius: where the screen around an opening ends [mm].
+    screen_radius: where the screen around an opening ends [mm]; amplitude: factor of the light's amplitude at each
+    reflection by a mirror or refraction at a face of glass.
     """
 
     name: str
@@ -25,6 +26,7 @@ class Element:
     index: float = 1.0
     closed: bool = False
     screen_radius: float | None = None
+    amplitude: float = 1.0
 
     @property
     def size(self) -> float:
@@ -38,6 +40,6 @@ class Element:
         """
         surface, crossing = self.faces[face], ("near", "far")[root] if self.closed else "vertex"
         if self.kind == "mirror":
-            return Interaction.reflect(surface, root=crossing)
+            return Interaction.reflect(surface, root=crossing, amplitude=self.amplitude)
         before, after = (self.index, 1.0) if inside else (1.0, self.index)
-        return Interaction.refract(surface, before, after, root=crossing)
+        return Interaction.refract(surface, before, after, root=crossing, amplitude=self.amplitude)
