@@ -12,6 +12,7 @@ UNFOLDED = "unfolded"
 TRACED = "traced"
 DIFFRACTED = "diffracted"
 NOT_DIFFRACTED = "not diffracted"
+CLEAR = "clear"
 SHADOWS = "geometric shadows"
 LEFT_OUT = "left out"
 NO_WAY = "no way"
@@ -82,6 +83,8 @@ def in_words(stage: Stage) -> str:
             return f"diffracted at {named}" + (f" ({stage.reason})" if stage.reason else "")
         case "not diffracted":
             return f"diffracts nothing: {stage.reason}"
+        case "clear":
+            return f"left out: {stage.reason}"
         case "geometric shadows":
             return f"openings cast geometric shadows, {stage.reason}"
         case "left out":
