@@ -173,6 +173,12 @@ def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], 
     return estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) <= AFFORDABLE_NODES
 
 
+def all_affordable(setup: Setup, channel: Channel, spots: np.ndarray) -> bool:
+    """Whether a way over openings alone can be diffracted at all of them."""
+    screens = sorted((rim for rim in channel.rims if rim.is_screen), key=lambda rim: rim.position)
+    return all(_is_affordable(setup, channel, rim, screens, spots) for rim in screens)
+
+
 def _neighbours(chosen: list[Rim], rim: Rim) -> tuple[Rim | None, Rim | None]:
     """The chosen rims before and behind a rim."""
     earlier = [one for one in chosen if (one.position, one.number) < (rim.position, rim.number)]

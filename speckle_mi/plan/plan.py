@@ -17,7 +17,7 @@ from ..optics.trace import trace
 from ..optics.unfold import unfold
 from .setup import Setup
 from ..scene.errors import SceneError
-from .edges import chosen_edges, limiting_rims
+from .edges import SHARE, all_affordable, chosen_edges, limiting_rims
 from .routes import Route, find_routes, points_on
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 from .stage import (
@@ -28,12 +28,14 @@ from .stage import (
     LEFT_OUT,
     NO_WAY,
     NOT_DIFFRACTED,
+    OTHER_WAY,
     SHADOWS,
     TRACED,
     UNFOLDED,
     WAY,
     Stage,
 )
+from .strength import Strength, strength_of
 from .way import Channel, Rim, rims_of
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
@@ -61,6 +63,12 @@ class Plan:
     warnings: tuple[str, ...] = ()
 
     @property
+    def left_out(self) -> float:
+        """What ways that are left out amount to, relative to the field."""
+        errors = [stage.predicted_error for stage in self.stages if stage.kind == OTHER_WAY]
+        return float(np.sqrt(np.sum(np.square(errors))))
+
+    @property
     def lines(self) -> tuple[str, ...]:
         """The stages in words."""
         return tuple(map(str, self.stages))
@@ -75,17 +83,44 @@ def make_plan(setup: Setup) -> Plan:
     if not setup.assembly.elements:
         free = Channel(Route((), (), 0), (), setup.assembly.detector, (), (), ())
         return Plan((free,), (Stage(FREE_SPACE, reason="nothing stands between target and detector, no ray is launched"),))
-    arrivals = find_routes(setup, spot_samples(setup))
-    if not arrivals.routes:
-        blocker = _main_blocker(arrivals.stopped)
-        return Plan((), (Stage(NO_WAY, reason=blocker),), (f"no light reaches the detector: {blocker}",))
-    channels = tuple(_channel(setup, route) for route in arrivals.routes)
-    stages = [stage for channel in channels for stage in channel.stages]
-    if arrivals.in_area:
-        return Plan(channels, tuple(stages))
+    spots = spot_samples(setup)
+    arrivals = find_routes(setup, spots)
     blocker = _main_blocker(arrivals.stopped)
-    stages.append(Stage(BESIDE))
-    return Plan(channels, tuple(stages), (f"no geometric light reaches the detector: {blocker}",))
+    if not arrivals.routes:
+        return Plan((), (Stage(NO_WAY, reason=blocker),), (f"no light reaches the detector: {blocker}",))
+    bare = [_bare(setup, route) for route in arrivals.routes]
+    strengths = [strength_of(setup, one.route, one.interactions, one.grid, spots) for one in bare]
+    lit = arrivals.in_area and any(strength.lit for strength in strengths)
+    kept, stages = _kept(setup, bare, strengths) if lit else (bare, [])
+    channels = tuple(_channel(setup, one) for one in kept)
+    stages = [*(stage for channel in channels for stage in channel.stages), *stages]
+    warnings = ()
+    if not lit:
+        stages.append(Stage(BESIDE))
+        warnings = (f"no geometric light reaches the detector: {blocker}",)
+    return Plan(channels, tuple(stages), warnings)
+
+
+def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:
+    """The ways that count beside those of straight light, and stages that say what the others amount to.
+
+    A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the detector,
+    where no diffraction is asked for, or where its integral is not affordable.
+    """
+    options = setup.assembly.options
+    straight = max(strength.amplitude for strength in strengths if strength.lit)
+    kept, stages = [], []
+    for channel, strength in zip(bare, strengths, strict=True):
+        share = strength.share * strength.amplitude / straight
+        if strength.lit:
+            kept.append(channel)
+        elif options.diffraction and options.method != "rays":
+            if share > SHARE * options.tolerance and all_affordable(setup, channel, spot_samples(setup)):
+                kept.append(channel)
+            else:
+                names = tuple(rim.name for rim in channel.rims if rim.is_screen)
+                stages.append(Stage(OTHER_WAY, names, way=channel.route.label, predicted_error=share))
+    return kept, stages
 
 
 def _main_blocker(stopped) -> str:
@@ -95,10 +130,14 @@ def _main_blocker(stopped) -> str:
     return f"most test rays end at {max(elements)[1]!r}"
 
 
-def _channel(setup: Setup, route: Route) -> Channel:
+def _bare(setup: Setup, route: Route) -> Channel:
+    """A route with plane mirrors unfolded, before anything is decided."""
     interactions, grid = unfold(route.interactions, setup.assembly.detector)
-    rims = rims_of(setup.spot.point, route.names, interactions, grid.centre)
-    bare = Channel(route, interactions, grid, (), rims, ())
+    return Channel(route, interactions, grid, (), rims_of(setup.spot.point, route.names, interactions, grid.centre), ())
+
+
+def _channel(setup: Setup, bare: Channel) -> Channel:
+    route, interactions = bare.route, bare.interactions
     openings, decisions = _openings(setup, bare)
     stages = [Stage(WAY), *_unfolded(route)]
     traced = [name for name, i in zip(route.names, interactions) if i.action != "pass"]
