@@ -328,7 +328,10 @@ def _curvature(rim: Rim, leading, trailing, end, source: np.ndarray, target: np.
     length = aim(Sequence((*leading, rim.end)), np.broadcast_to(source, places.shape), places).optical_path_length
     length = length + aim(Sequence((*trailing, end)), places, np.broadcast_to(target, places.shape)).optical_path_length
     second = [(length[k] + length[k + 1] - 2 * length[0]) / step**2 for k in (1, 3)]
-    return float(np.nanmin(np.abs(second))) if np.any(np.isfinite(second)) else 0.0
+    if np.all(np.isfinite(second)):
+        return float(np.min(np.abs(second)))
+    # Where what lies close by lets no ray through aside, the nearer of the two ends tells how waves spread.
+    return float(1 / max(np.linalg.norm(hit - source), 1e-12) + 1 / max(np.linalg.norm(target - hit), 1e-12))
 
 
 def _rim_points(rim: Rim, count: int) -> np.ndarray:
