@@ -67,7 +67,7 @@ class SweepResult:
     writes: list[Future] = field(default_factory=list)
 
     def note(self, numerical_error: float, warnings: Iterable[str]) -> None:
-        """Takes account of what was noticed at one frame. An error that is not known (NaN) leaves all of them unknown."""
+        """Takes account of what was noticed at one frame. An error that is not known (NaN) makes the sweep's so."""
         self.numerical_error = float(np.maximum(self.numerical_error, numerical_error))
         for warning in warnings:
             self.warnings[warning] = self.warnings.get(warning, 0) + 1
