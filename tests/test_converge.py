@@ -17,7 +17,7 @@ from speckle_mi.validation.convergence.frame import (
     MEASURED,
     Row,
     Setting,
-    exact_sample,
+    exact_field,
     with_point_sources,
 )
 from speckle_mi.validation.convergence.scatter import Scatter
@@ -150,13 +150,13 @@ def test_error_behind_a_lens_falls_with_the_tolerance(imaging):
 @pytest.mark.parametrize("name, small", [("ball_lens", {"width": 24, "height": 18, "stop_radius": 0.1}),
                                          ("fig4_aperture", {"width": 40, "height": 40, "pixel_pitch": 0.03}),
                                          ("folded", {"width": 40, "height": 40})])  # fmt: skip
-def test_exact_sample_agrees_with_the_whole_frame(shipped, name, small):
+def test_the_exact_field_agrees_with_the_whole_frame(shipped, name, small):
     """The field summed on some pixels alone is that of the same pixels of the detector, to the tolerance of both."""
     assembly = shipped(name, **small)
-    sample = exact_sample(with_point_sources(assembly, 2), 1e-6)
+    exact = exact_field(with_point_sources(assembly, 2), 1e-6)
     frame = simulate_frame(Setting("auto", 2, 1e-5).of(assembly), Pose())
-    error, phase = sample.errors(frame.image.field)
-    assert sample.scatterers == frame.scatterers.count
+    error, phase = exact.errors(frame.image.field)
+    assert exact.scatterers == frame.scatterers.count
     assert error < SAMPLING * 1e-5
     assert phase < error
 

@@ -19,7 +19,7 @@ from .bandlimited import NodeGrid, band_limited_sum, node_grid, reach_of
 from .costs import Costs, costs_of
 from .direct import SINGLE_PRECISION, direct_sum, supports
 from .interpolated import interpolated
-from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
+from .lowrank import LARGEST_TABLE, SpotPart, expand_in_parts, low_rank_sum
 from .paths import Path
 from .phasors import active_variant
 from .reference import Sample, reference_sum
@@ -194,7 +194,7 @@ class Task:
                 found.append(self._expanded(parts, costs, few_nodes, interpolation))
         return sorted(found, key=lambda candidate: candidate.seconds)
 
-    def _expanded(self, parts: list[Part], costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
+    def _expanded(self, parts: list[SpotPart], costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
         def low_rank(places: PlanePoints) -> np.ndarray:
             return sum(
                 low_rank_sum(part.expansion, self.sources[part.members], self.weights[part.members], places)

@@ -104,7 +104,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Sample:
+class ExactField:
     """The exact field on evenly spaced pixels: every ``step``-th from ``first``, along rows and columns.
 
     field: complex (rows, columns) of them; scatterers: summed; origin: how it was made; seconds: it took.
@@ -128,7 +128,7 @@ class Sample:
         return relative, float(np.sqrt(np.mean(turns**2)))
 
 
-def exact_sample(assembly, tolerance: float) -> Sample:
+def exact_field(assembly, tolerance: float) -> ExactField:
     """The exact field of an assembly at rest on evenly spread pixels, by a way of its own.
 
     In free space the float64 sum over all scatterers as it stands, in NumPy. With elements a sum on those pixels alone
@@ -154,7 +154,7 @@ def exact_sample(assembly, tolerance: float) -> Sample:
         )
         field, scatterers = frame.image.field, frame.scatterers.count
         origin = f"sum on the sampled pixels to {tolerance:.0e}, its own error {frame.numerical_error:.0e}"
-    return Sample(first, step, field.reshape(grid.shape), scatterers, origin, time.perf_counter() - begin, tolerance)
+    return ExactField(first, step, field.reshape(grid.shape), scatterers, origin, time.perf_counter() - begin, tolerance)
 
 
 def sampled_pixels(scatterers: float) -> float:

@@ -22,9 +22,9 @@ from .frame import (
     MEASURED,
     PAPER_RAYS,
     Row,
-    Sample,
+    ExactField,
     Setting,
-    exact_sample,
+    exact_field,
     peak_memory,
     sampled_pixels,
     with_point_sources,
@@ -107,7 +107,7 @@ class Study:
             None if values is None else 1e3 * self.displacement * float(values[0]) for values in self.expected.values()
         ]
         self.theory_shift = None if None in along else along
-        self.samples: dict[int, Sample | None] = {}
+        self.samples: dict[int, ExactField | None] = {}
         points = assembly.target.points
         self.point_sources = settings["point_sources"] if points is None else (len(points.points),)
 
@@ -211,7 +211,7 @@ class Study:
         seconds, sample = time.perf_counter() - begin, self.samples[setting.point_sources]
         return seconds / max(traced, 1) * (sample.scatterers if sample else traced)
 
-    def _measured(self, setting: Setting, blank: Row, sample: Sample) -> Row:
+    def _measured(self, setting: Setting, blank: Row, sample: ExactField) -> Row:
         """The row of a setting: a first frame at rest, warm ones in turn moved and at rest."""
         assembly = setting.of(self.assembly)
         poses = (Pose(), Pose(x=self.displacement))
@@ -249,7 +249,7 @@ class Study:
             return []
         return ["does not apply: openings diffract; rays cast sharp shadows, however many there are"]
 
-    def _exact(self, count: int) -> Sample | None:
+    def _exact(self, count: int) -> ExactField | None:
         """The exact sample at N1; None where it would take too long."""
         assembly = with_point_sources(self.assembly, count)
         before = [(n, sample) for n, sample in self.samples.items() if sample is not None]
@@ -266,7 +266,7 @@ class Study:
                 expected *= grown * sampled_pixels(grown) / (sample.scatterers * sampled_pixels(sample.scatterers))
             if expected > self.allowance.left:
                 return None
-        return exact_sample(assembly, tolerance)
+        return exact_field(assembly, tolerance)
 
     def _with_shift_errors(self, rows: list[Row]) -> list[Row]:
         """Rows with the errors of their shifts, the best field of every N1 taken for exact."""
