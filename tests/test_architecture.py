@@ -219,3 +219,13 @@ def test_what_is_private_to_a_file_stays_in_it(module):
     }
     # The plugins' shared modules are private to Mitsuba's search path, not to a file.
     assert not {name for name in taken if f"{module.rpartition('.')[0]}.{name}" not in SOURCES}
+
+
+PROCESS_WIDE = {"speckle_mi.machine.cores"}
+"""Modules that know something of the process, which no scene changes."""
+
+
+@pytest.mark.parametrize("module", sorted(SOURCES.keys() - PROCESS_WIDE))
+def test_no_module_remembers_results(module):
+    names = {name.rpartition(".")[2] for name in imports(module, at_import=False) if name.startswith("functools.")}
+    assert not names & {"lru_cache", "cache"}
