@@ -13,8 +13,8 @@ PACKAGE, PLUGINS = ROOT / "speckle_mi", ROOT / "plugins"
 RENDERER = {"mitsuba", "drjit"}
 LEVELS = (
     {"version"},
-    {"geometry", "machine", "measurement"},
-    {"images", "optics", "propagation", "scattering", "theory"},
+    {"geometry", "machine"},
+    {"images", "measurement", "optics", "propagation", "scattering", "theory"},
     {"scene"},
     {"plan"},
     {"field"},
