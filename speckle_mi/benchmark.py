@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from .command_line import add_force, command, parser, say
-from .machine.files import identity_in, refuse_other_settings, require_output, write_json
 
 SCATTERERS, QUICK_SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000), (100, 1_000)
 PIXELS, QUICK_PIXELS = (744, 480), (186, 120)
@@ -27,13 +26,15 @@ PEER_SECONDS, QUICK_PEER_SECONDS = 2.0, 0.3
 
 def main(arguments: Sequence[str] | None = None) -> None:
     options = _parser().parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .machine.files import identity_in, refuse_other_settings, require_output
+    from .machine.system import system_information
+    from .report.terminal import print_machine, terminal
+
     identity = {"quick": options.quick, "variant": options.variant}
     if options.out is not None:
         require_output(options.out, ".json")
         refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
-    # Not before the arguments are known to be good: these bring Mitsuba with them.
-    from .machine.system import system_information
-    from .report.terminal import print_machine, terminal
     from .validation.benchmark.specimen import Specimen
 
     specimen = Specimen.of(_assembly(options))
@@ -45,6 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _measure(options, specimen, console, content: dict) -> None:
     """Measures part after part; each is shown and kept when it is done: an interrupt loses no more than its own."""
+    from .machine.files import write_json
     from .validation.benchmark.pieces import pieces
     from .validation.benchmark.scaling import costs, scaling
     from .validation.benchmark.sums import TOLERANCE, Entry, sums
@@ -94,7 +96,7 @@ def _assembly(options):
     import mitsuba as mi
 
     from .machine.backend import set_variant
-    from .scene.assembly import assembly_from_scene
+    from .scene.read import assembly_from_scene
     from .validation.benchmark.specimen import SCENE
 
     set_variant(options.variant)

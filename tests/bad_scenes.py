@@ -17,7 +17,7 @@ from scene_builder import (
     target_xml,
 )
 
-from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.read import assembly_from_scene
 from speckle_mi.scene.errors import one_line
 from speckle_mi.scene import write
 

@@ -9,7 +9,7 @@ import pytest
 
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.rotation import rotation_matrix
-from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.read import assembly_from_scene
 from speckle_mi.scene.write import (
     Default,
     Typed,

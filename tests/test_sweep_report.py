@@ -9,7 +9,7 @@ import pytest
 from conftest import SCENES
 from scene_builder import direction, free_space
 
-from speckle_mi.experiments.sweep import SweepResult
+from speckle_mi.experiments.sweep_result import SweepResult
 from speckle_mi.report.console import RESIDUALS
 from speckle_mi.scene.write import write_points
 from speckle_mi.sweep import main
@@ -75,7 +75,7 @@ def test_the_error_of_rays_is_not_known_and_said_so(mitsuba, tmp_path, capsys):
 def test_one_frame_of_unknown_error_leaves_that_of_the_sweep_unknown():
     result = SweepResult()
     for error in (1e-5, np.nan, 1e-4):
-        result.note(error, [])
+        result.note({"plan": [], "numerical_error": error, "warnings": []})
     assert np.isnan(result.numerical_error)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from functools import partial
 
-from ...field.simulate import simulate
+from ...field.simulation import simulate
 from ...geometry.pose import Pose
 from ...images.exr import write_field
 from ...machine.interrupt import scratch_folder

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from functools import partial
 
-from ...field.simulate import simulate_frame
+from ...field.simulation import Simulation
 from ...geometry.plane import PlaneGrid
 from ...geometry.pose import Pose
 from ...machine.run_times import timed
@@ -37,8 +37,7 @@ def scaling(specimen: Specimen, counts: Sequence[int]) -> dict:
     ranks = []
     for tolerance in RANK_TOLERANCES:
         spent, result = seconds(specimen.grid, tolerance)
-        found = re.search(r"rank (\d+)", result.plan)
-        ranks.append({"tolerance": tolerance, "rank": int(found.group(1)) if found else None, "seconds": spent,
+        ranks.append({"tolerance": tolerance, "rank": result.how.ranks and result.how.ranks[0], "seconds": spent,
                       "error": result.numerical_error, "plan": result.plan})  # fmt: skip
     return {
         "frames": _frames(specimen, counts),
@@ -53,8 +52,8 @@ def scaling(specimen: Specimen, counts: Sequence[int]) -> dict:
 def _frames(specimen: Specimen, counts: Sequence[int]) -> dict[int, dict]:
     frames = {}
     for count in counts:
-        assembly = specimen.denser(count)
-        frames[count] = asdict(timed(lambda assembly=assembly: simulate_frame(assembly, Pose())))
+        simulation = Simulation(specimen.denser(count))
+        frames[count] = asdict(timed(partial(simulation.frame, Pose())))
     return frames
 
 

@@ -39,7 +39,7 @@ def with_point_sources(assembly, count: int):
     keeps them.
     """
     target = assembly.target
-    density = target.surface.density * count / target.shape.point_sources
+    density = target.surface.density * count / target.point_sources
     return replace(assembly, target=replace(target, surface=replace(target.surface, density=density)))
 
 
@@ -51,7 +51,8 @@ class Row:
     field_error: relative L2, phase_error_wavelengths: rms where the intensity is above a tenth of its mean, both on the
     sampled pixels; shift_error_um against the most exact frames, shift_theory_error_um against first-order theory;
     seconds_*: of a warm frame, from scatterers to field (quartiles over ``runs``), and of the first one;
-    peak_memory_mb: of the process in the first run, added_memory_mb: over what it held before.
+    peak_memory_mb: of the process in the first run, added_memory_mb: over what it held before; opening_nodes: on the
+    last opening that was summed to.
     """
 
     scene: str
@@ -77,6 +78,7 @@ class Row:
     peak_memory_mb: float | None = None
     added_memory_mb: float | None = None
     numerical_error: float | None = None
+    opening_nodes: int | None = None
 
     @property
     def accuracy(self) -> str:

@@ -11,10 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ...field.simulate import simulate_frame
+from ...field.simulation import Simulation
 from ...geometry.pose import Pose
 from ...machine.run_times import Timing, duration
 from ...measurement.correlator import Correlator
+from ...plan.stage import RAYS, SUM, Stage
 from ...scene.errors import one_line
 from .exact import ExactField
 from .frame import DOES_NOT_APPLY, LEFT_OUT, MEASURED, Row, Setting
@@ -58,15 +59,16 @@ def _measured(
     subject: Subject, setting: Setting, blank: Row, exact: ExactField, time_left: Callable[[], float]
 ) -> Row:
     assembly = setting.of(subject.assembly)
+    simulation = Simulation(assembly)
     poses = (Pose(), Pose(x=subject.displacement))
     with peak_memory() as memory:
         begin = time.perf_counter()
-        rest = simulate_frame(assembly, poses[0])
+        rest = simulation.frame(poses[0])
         first = time.perf_counter() - begin
     times: list[float] = []
     while not times or (len(times) < WARM_RUNS and sum(times) + times[-1] < min(WARM_SECONDS, time_left())):
         begin = time.perf_counter()
-        frame = simulate_frame(assembly, poses[(len(times) + 1) % 2])
+        frame = simulation.frame(poses[(len(times) + 1) % 2])
         times.append(time.perf_counter() - begin)
         if len(times) == 1:
             shift = Correlator(rest.image.intensity).shift(frame.image.intensity)
@@ -76,12 +78,13 @@ def _measured(
     lost = [] if shift.ok else [f"shift: {shift.status}"]
     along = (shift.u_px * pixel, shift.v_px * pixel) if shift.ok else (None, None)
     return replace(
-        blank, status=MEASURED, plan="; ".join(_sums(rest.plan)), scatterers=rest.scatterers.count,
+        blank, status=MEASURED, plan="; ".join(map(str, _sums(rest.stages))), scatterers=rest.scatterers.count,
         note="; ".join([*_shadows(subject, setting), *rest.warnings, *lost]),
         field_error=error, phase_error_wavelengths=phase, shift_u_um=along[0], shift_v_um=along[1],
         seconds_median=timing.median, seconds_q1=timing.q1, seconds_q3=timing.q3, runs=timing.runs,
         seconds_first=timing.first, peak_memory_mb=memory["peak"], added_memory_mb=memory["added"],
         numerical_error=rest.numerical_error if np.isfinite(rest.numerical_error) else None,
+        opening_nodes=next((stage.nodes for stage in reversed(rest.stages) if stage.nodes is not None), None),
     )  # fmt: skip
 
 
@@ -92,9 +95,9 @@ def _shadows(subject: Subject, setting: Setting) -> list[str]:
     return ["does not apply: openings diffract; rays cast sharp shadows, however many there are"]
 
 
-def _sums(plan: list[str]) -> list[str]:
-    """The lines of a frame's plan that say how the field was summed."""
-    return [line for line in plan if line.startswith(("sum to", "rays:"))]
+def _sums(stages: tuple[Stage, ...]) -> list[Stage]:
+    """The stages of a frame that say how the field was summed."""
+    return [stage for stage in stages if stage.kind in (SUM, RAYS)]
 
 
 @contextmanager

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import re
 import time
 from dataclasses import replace
 
-from ...field.simulate import simulate_frame
+from ...field.simulation import simulate_frame
 from ...geometry.pose import Pose
 from .exact import ExactField
 from .frame import MEASURED, Row, Setting
@@ -73,7 +72,6 @@ def seconds_of_rays(subject: Subject, setting: Setting, exact: ExactField | None
 
 
 def seconds_behind_openings(subject: Subject, rows: list[Row]) -> float:
-    """What ``direct`` should take [s] from the nodes on the last opening, as the plans of ``rows`` tell; 0 without."""
-    found = [re.findall(r", (\d+) nodes:", row.plan) for row in rows if row.plan]
-    nodes = max((int(numbers[-1]) for numbers in found if numbers), default=0)
+    """What ``direct`` should take [s] from the nodes on the last opening, as ``rows`` have them; 0 without."""
+    nodes = max((row.opening_nodes for row in rows if row.opening_nodes is not None), default=0)
     return nodes * subject.assembly.detector.size / PAIRS_PER_SECOND

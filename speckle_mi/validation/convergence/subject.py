@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...experiments.expectation import expected_sensitivity
-from ...field.simulate import plan_of
+from ...field.simulation import plan_of
 
 SHARE_OF_RADIUS = 0.1
 """Displacement along x relative to the beam's radius: the pattern keeps 99 % of its correlation."""
