@@ -142,7 +142,8 @@ class Mirror(mi.Mesh):
         ends = f"where the surface of 'radius' = {value_of(self.radius):g} mm with 'conic' = {surface.conic:g} ends"
         if abs(off_axis) >= widest:
             raise SceneError(
-                f"{self.where}: parameter 'off_axis' is {off_axis:g} mm, must be less than {widest:.7g} mm in size, {ends}"
+                f"{self.where}: parameter 'off_axis' is {off_axis:g} mm, "
+                f"must be less than {widest:.7g} mm in size, {ends}"
             )
         beside = f" at 'off_axis' = {off_axis:g} mm" if off_axis else ""
         raise SceneError(

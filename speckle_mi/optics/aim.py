@@ -199,10 +199,7 @@ def _preferred(status: np.ndarray, nearness: np.ndarray, usable: np.ndarray) -> 
 
 
 def _to_first_vertex(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Unit directions (3, n) from the sources to the first vertex, or to the target from a source that lies there.
-
-    For a part beside its axis of revolution its own middle stands for the vertex.
-    """
+    """Unit directions (3, n) from the sources to the first surface's middle, or to the target from a source there."""
     axis = sequence.interactions[0].surface.middle[:, None] - source
     axis = np.where(np.any(axis != 0.0, axis=0), axis, target - source)
     return axis / np.sqrt(dot(axis, axis))
