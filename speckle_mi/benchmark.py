@@ -16,10 +16,6 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from .command_line import add_force, command, parser, say
-from .machine.files import identity_in, refuse_other_settings, require_output, write_json
-from .report.terminal import print_machine, terminal
-from .validation.benchmark.study import PEER_SECONDS, QUICK_PEER_SECONDS, SCENE, TOLERANCE, Bench, Entry
-from .validation.benchmark.tables import print_costs, print_pieces, print_scaling, print_sums
 
 SCATTERERS, QUICK_SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000), (100, 1_000)
 PIXELS, QUICK_PIXELS = (744, 480), (186, 120)
@@ -36,14 +32,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     add_force(made)
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
     options = made.parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .machine.files import identity_in, refuse_other_settings, require_output, write_json
+    from .machine.system import system_information
+    from .report.terminal import print_machine, terminal
+    from .validation.benchmark.study import PEER_SECONDS, QUICK_PEER_SECONDS, TOLERANCE, Bench, Entry
+    from .validation.benchmark.tables import print_costs, print_pieces, print_scaling, print_sums
+
     identity = {"quick": options.quick, "variant": options.variant}
     if options.out is not None:
         require_output(options.out, ".json")
         refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
     bench = Bench(_assembly(options), QUICK_PEER_SECONDS if options.quick else PEER_SECONDS, options.quick)
     counts = QUICK_SCATTERERS if options.quick else SCATTERERS
-    from .machine.system import system_information
-
     begin = time.perf_counter()
     console = terminal(options.quiet)
     system = system_information() | {"numba": _numba_version()}
@@ -80,8 +81,9 @@ def _assembly(options):
     """The tilted laser, on few pixels if it is to be quick."""
     import mitsuba as mi
 
-    from .scene.read import assembly_from_scene
     from .machine.backend import set_variant
+    from .scene.read import assembly_from_scene
+    from .validation.benchmark.study import SCENE
 
     set_variant(options.variant)
     mi.set_log_level(mi.LogLevel.Error)

@@ -12,16 +12,12 @@ is left out, and the table says so.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from .command_line import add_force, command, say, scene_parser
-from .machine.files import identity_in, refuse_other_settings, require_folder
-from .machine.progress import progress_bars
-from .scene.load import load_scene
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
 MAX_POINT_SOURCES = 10**15
@@ -44,14 +40,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     settings = _settings(options)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .machine.files import identity_in, refuse_other_settings, require_folder
+    from .scene.load import open_scene
+
     folder = require_folder(options.out)
-    scene = load_scene(options.scene, options.defaults, options.variant)
-    # Not before the arguments are known to be good: these bring Mitsuba and matplotlib with them.
+    scene = open_scene(options.scene, options.defaults, options.variant)
+    # Not before the arguments are known to be good: these bring matplotlib with them.
+    from .machine.progress import progress_bars
+    from .machine.system import system_information
     from .scene.read import assembly_from_scene
     from .validation.convergence.plots import plot_convergence, plot_scatter
     from .validation.convergence.report import print_report, write_rows, write_study
     from .validation.convergence.study import Allowance, Study
-    from .machine.system import system_information
 
     assembly = assembly_from_scene(scene)
     identity = json.loads(json.dumps({"scene_hash": assembly.fingerprint(), "seed": assembly.seed} | settings))
@@ -94,14 +95,14 @@ def _parser():
 def _settings(options) -> dict:
     settings = dict(QUICK if options.quick else FULL)
     if options.seconds is not None:
-        if not (np.isfinite(options.seconds) and options.seconds > 0):
+        if not (math.isfinite(options.seconds) and options.seconds > 0):
             raise ValueError(f"--seconds {options.seconds:g}: must be a finite number above 0")
         settings["seconds"] = options.seconds
     if options.point_sources is not None:
         try:
             values = sorted({float(text) for text in options.point_sources.split(",")})
         except ValueError:
-            values = [np.nan]
+            values = [math.nan]
         if not all(1 <= value <= MAX_POINT_SOURCES and value == int(value) for value in values):
             raise ValueError(
                 f"--point-sources {options.point_sources!r}: must be whole numbers with commas between, "

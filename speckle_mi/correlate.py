@@ -1,4 +1,4 @@
-"""Displacement of a speckle pattern between two images, by normalised cross-correlation.
+"""``python -m speckle_mi.correlate``: displacement of the speckle pattern between two images.
 
     python -m speckle_mi.correlate REF.exr MOVED.exr [--window 256]
 
@@ -11,14 +11,13 @@ from __future__ import annotations
 import json
 import math
 
-from .measurement.compare import common_pitch, compare
+from collections.abc import Sequence
+
+from .command_line import command, parser
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Print the comparison of two images as one JSON object."""
-    from .command_line import parser
-    from .images.pictures import read_image
-
     arguments_of = parser("correlate", "Shift of the speckle pattern between two images, as JSON on stdout.")
     kinds = "a field image, or any EXR, PNG, TIFF or JPEG"
     arguments_of.add_argument("reference", metavar="REF.exr", help=f"image before the motion: {kinds}")
@@ -26,6 +25,10 @@ def main(argv: list[str] | None = None) -> int:
     window_help = "side of the correlation window (default: 256, less on a small detector)"
     arguments_of.add_argument("--window", type=int, metavar="PX", help=window_help)
     arguments = arguments_of.parse_args(argv)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .images.pictures import read_image
+    from .measurement.compare import common_pitch, compare
+
     reference, moved = read_image(arguments.reference), read_image(arguments.moved)
     pitch = common_pitch(reference.header, moved.header)
     result = compare(reference.intensity, moved.intensity, pitch, arguments.window)
@@ -36,6 +39,4 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    from .command_line import command
-
     raise SystemExit(command(main))

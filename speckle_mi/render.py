@@ -6,14 +6,12 @@ import os
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from .command_line import add_force, command, say, scene_parser
-from .field.sources import settings_of_sources, source_layers, write_sources
-from .geometry.pose import Pose
-from .images.exr import read_header, write_field
-from .machine.files import refuse_other_settings, require_distinct, require_output
-from .machine.progress import progress_bars
-from .scene.load import load_scene
+
+if TYPE_CHECKING:
+    from .geometry.pose import Pose
 
 MAX_LAYERS = 1_000_000
 """Most fields of single scatterers in a file."""
@@ -35,6 +33,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--spp", type=int, default=0, help=spp_help)
     add_force(parser)
     options = parser.parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .machine.files import refuse_other_settings, require_distinct, require_output
+    from .scene.load import open_scene
+
     pose = None if options.pose is None else _pose(options.pose)
     for flag, value in (("--per-source", options.per_source), ("--spp", options.spp)):
         if value < 0:
@@ -46,9 +48,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         require_output(options.sources, ".npz")
     require_distinct(SCENE=options.scene, output=options.output, sources=options.sources)
 
-    scene = load_scene(options.scene, options.defaults, options.variant)
-    from .scene.read import assembly_from_scene
+    scene = open_scene(options.scene, options.defaults, options.variant)
     from .field.simulation import simulate_frame
+    from .field.sources import settings_of_sources, source_layers, write_sources
+    from .images.exr import write_field
+    from .machine.progress import progress_bars
+    from .scene.read import assembly_from_scene
 
     assembly = assembly_from_scene(scene, spp=options.spp)
     settings = {
@@ -80,6 +85,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _pose(text: str) -> Pose:
     """The displacement that ``--pose`` gives, which must name one."""
+    from .geometry.pose import Pose
+
     if not text.strip():
         raise ValueError(f"--pose {text!r}: must name a displacement, for example x=0.02,ry=0.01")
     return Pose.parse(text)
@@ -87,6 +94,8 @@ def _pose(text: str) -> Pose:
 
 def settings_of_image(path: str | os.PathLike, wanted: Iterable[str]) -> dict | None:
     """What an image says of the ``wanted`` settings; None where it is none of ours."""
+    from .images.exr import read_header
+
     try:
         header = read_header(path)
     except ValueError:

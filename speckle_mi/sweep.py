@@ -6,18 +6,18 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from .command_line import add_force, command, say, scene_parser
-from .experiments.sweep_result import SweepResult, SweepSettings, frame_count, frames_of
-from .geometry.pose import DEGREES_OF_FREEDOM, Pose
-from .machine.files import refuse_other_settings, require_folder, write_json
 from .machine.interrupt import keeping
-from .scene.load import load_scene
+
+if TYPE_CHECKING:
+    from .experiments.sweep_result import SweepSettings
 
 SMALLEST_RANGE = 1e-9
 """Least range of a sweep [mm or deg]: places hold fewer digits than a smaller one needs."""
@@ -32,10 +32,15 @@ MAX_FRAMES = 1_000_000
 def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .experiments.sweep import run_sweep
+    from .experiments.sweep_result import SweepResult, frame_count
+    from .machine.files import require_folder
+    from .scene.load import open_scene
+
     settings = _settings(options)
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
-    scene = load_scene(options.scene, options.defaults, options.variant)
-    from .experiments.sweep import run_sweep
+    scene = open_scene(options.scene, options.defaults, options.variant)
     from .report import sweep_report as report
     from .report.console import print_report
     from .scene.read import assembly_from_scene
@@ -71,6 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parser():
+    from .geometry.pose import DEGREES_OF_FREEDOM
+
     parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
     everything = ",".join(DEGREES_OF_FREEDOM)
     parser.add_argument("--dof", default=everything, metavar=everything, help="motions to sweep (default: all six)")
@@ -88,13 +95,18 @@ def _parser():
 
 
 def _settings(options) -> SweepSettings:
+    import numpy as np
+
+    from .experiments.sweep_result import SweepSettings, frames_of
+    from .geometry.pose import DEGREES_OF_FREEDOM, Pose
+
     dofs = tuple(name.strip() for name in options.dof.split(","))
     for name in dofs:
         if name not in DEGREES_OF_FREEDOM:
             raise ValueError(f"--dof {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
     if len(set(dofs)) != len(dofs):
         raise ValueError(f"--dof {options.dof!r}: must name each motion once")
-    if not SMALLEST_RANGE <= options.range < np.inf:
+    if not SMALLEST_RANGE <= options.range < math.inf:
         least = f"{SMALLEST_RANGE:g} (mm or deg)"
         raise ValueError(f"--range {options.range:g}: must be a finite number of at least {least}")
     if options.steps < 2:
@@ -133,7 +145,7 @@ def _surfaces(assembly, options) -> int:
 
 
 def _with_seeds(settings: SweepSettings, first: int, count: int) -> SweepSettings:
-    return SweepSettings(settings.dofs, settings.displacements, tuple(range(first, first + count)), settings.window)
+    return replace(settings, seeds=tuple(range(first, first + count)))
 
 
 def _identity(assembly, settings: SweepSettings) -> dict:
@@ -149,6 +161,8 @@ def _identity(assembly, settings: SweepSettings) -> dict:
 
 def _claim(folder: Path, identity: dict, force: bool) -> None:
     """Makes the folder ready; ValueError when it holds results of other settings and ``force`` is not given."""
+    from .machine.files import refuse_other_settings, write_json
+
     settings_file = folder / "settings.json"
     if settings_file.is_file():
         try:

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE, PLUGINS = ROOT / "speckle_mi", ROOT / "plugins"
 RENDERER = {"mitsuba", "drjit"}
 LEVELS = (
-    {"version"},
+    {"version", "errors"},
     {"geometry", "machine", "measurement"},
     {"images", "optics", "propagation", "scattering", "theory"},
     {"scene"},

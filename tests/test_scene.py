@@ -222,22 +222,6 @@ def test_an_llvm_that_aborts_the_process_is_refused_with_what_to_do(monkeypatch)
     llvm.require_usable()
 
 
-def test_the_users_own_llvm_is_left_in_place(tmp_path):
-    own = llvm.packaged_library()
-    if own is None:
-        pytest.skip("no packaged LLVM here")
-    script = "import os, speckle_mi; print(os.environ['DRJIT_LIBLLVM_PATH'])"
-    for given, expected in (("/somewhere/libLLVM.so", "/somewhere/libLLVM.so"), (None, str(own))):
-        import os
-
-        environment = {k: v for k, v in os.environ.items() if k != "DRJIT_LIBLLVM_PATH"}
-        environment |= {"DRJIT_LIBLLVM_PATH": given} if given else {}
-        done = subprocess.run(
-            [sys.executable, "-c", script], capture_output=True, text=True, env=environment, timeout=60
-        )
-        assert done.stdout.strip() == expected, done.stderr
-
-
 def test_an_unknown_variant_is_refused_with_the_alternatives(mitsuba):
     from speckle_mi.machine.backend import set_variant
 

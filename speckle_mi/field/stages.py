@@ -11,7 +11,7 @@ import numpy as np
 from ..geometry.outline import Circle
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
-from ..optics.sequence import Interaction, Sequence, detector_plane
+from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
@@ -184,6 +184,8 @@ def _sums(
 
 def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage]) -> ChannelField:
     error = float(np.sqrt(np.sum([stage.error**2 for stage in stages])))
+    factor = amplitude_of(channel.interactions)
+    values = values if factor == 1.0 else factor * values
     return ChannelField(values, tuple(replace(stage, way=channel.route.label) for stage in stages), error)
 
 
@@ -227,7 +229,7 @@ def ray_channel(
         warnings += [line for line in result.warnings if line not in warnings]
     seconds = time.perf_counter() - began
     stage = Stage(RAYS, way=channel.route.label, count=rays, rays=traced, share=result.covered, seconds=seconds)
-    return ChannelField(values, (stage,), math.nan), warnings
+    return ChannelField(amplitude_of(channel.interactions) * values, (stage,), math.nan), warnings
 
 
 def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):

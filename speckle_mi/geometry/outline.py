@@ -16,6 +16,7 @@ class Circle:
     """Rim x^2 + y^2 = radius^2 in the surface's local coordinates [mm]."""
 
     radius: float
+    is_round = True
 
     def __post_init__(self) -> None:
         if not self.radius > 0.0:
@@ -64,6 +65,7 @@ class OffsetCircle:
 
     radius: float
     centre: tuple[float, float]
+    is_round = True
 
     def __post_init__(self) -> None:
         if not self.radius > 0.0:
@@ -106,6 +108,7 @@ class Rectangle:
 
     half_x: float
     half_y: float
+    is_round = False
 
     def __post_init__(self) -> None:
         if not (self.half_x > 0.0 and self.half_y > 0.0):

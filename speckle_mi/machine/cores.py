@@ -10,7 +10,12 @@ from contextlib import contextmanager
 from functools import lru_cache
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
+
+from .around_import import environment_unless_chosen
+
+# It would set this for good, for libraries that a host may load later. Ours need it as little as without it.
+with environment_unless_chosen("KMP_DUPLICATE_LIB_OK", "True"):
+    from threadpoolctl import ThreadpoolController
 
 
 def usable_cores() -> int:

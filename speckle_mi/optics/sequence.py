@@ -21,7 +21,9 @@ class Interaction:
     action: "refract" (Snell's law), "reflect" (mirror), "pass" (a place the light goes straight through: an aperture, a
     reference plane, the detector); index_before, index_after: refractive indices of the segments on its way in and out;
     root: which crossing of the surface is meant, see ``Surface.intersect``; amplitude: factor of the light's amplitude
-    here, the square root of the reflectance or transmittance.
+    here, the square root of the reflectance or transmittance; near: (3,) where on the surface its light is, in its own
+    frame [mm], None for its middle; slack: how far [mm] it may lie behind the one before, as where a stop cuts through the
+    curved face of a lens.
     Build with ``Interaction.refract``, ``.reflect``, ``.through``.
     """
 
@@ -31,6 +33,8 @@ class Interaction:
     index_after: float = 1.0
     root: Literal["vertex", "near", "far"] = "vertex"
     amplitude: float = 1.0
+    near: np.ndarray | None = None
+    slack: float = 0.0
 
     def __post_init__(self) -> None:
         if self.action not in ("refract", "reflect", "pass"):
@@ -52,6 +56,11 @@ class Interaction:
             raise ValueError(
                 f"root {self.root!r} needs a closed surface: a sphere or spheroid (curvature not 0, conic > -1)"
             )
+
+    @property
+    def place(self) -> np.ndarray:
+        """(3,) where its light is, world [mm]."""
+        return self.surface.middle if self.near is None else self.surface.frame.to_world(self.near[None])[0]
 
     @classmethod
     def refract(

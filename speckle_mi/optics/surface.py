@@ -132,6 +132,31 @@ class Surface:
             return t
         return np.where((1.0 + self.conic) * self.curvature * (start[2] + t * direction[2]) >= 1.0, np.nan, t)
 
+    def crossings(self, point: np.ndarray, direction: np.ndarray, closed: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths (2, n) [mm] along local rays to both crossings, rising, and the places (2, 3, n); NaN where none is.
+
+        point, direction: (3, n), directions of unit length; lengths may be negative. closed: whether the whole quadric is
+        meant; else only its sheet through the vertex, inside the outline.
+        """
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            foot = -dot(point, direction)
+            start = point + foot * direction
+            c, k, cosine = self.curvature, self.conic, direction[2]
+            a = c * (1.0 + k * cosine * cosine)
+            b = (c * k * start[2] - 1.0) * cosine
+            f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
+            q = -(b + np.copysign(np.sqrt(b * b - a * f), b))
+            roots = np.stack([f / q, np.where(a == 0.0, np.nan, q / a)])
+            length = foot + np.sort(roots, axis=0)  # NaN comes last
+            hit = point[None] + length[:, None] * direction
+            if not closed:
+                beyond = (1.0 + k) * c * hit[:, 2] >= 1.0
+                outside = np.zeros_like(beyond)
+                if self.outline is not None:
+                    outside = np.array([np.any(self.outline.margins(x, y) < 0, axis=0) for x, y, _ in hit])
+                length = np.where(beyond | outside, np.nan, length)
+        return length, hit
+
 
 def _crossing(a: np.ndarray, b: np.ndarray, f: np.ndarray, slope: np.ndarray) -> np.ndarray:
     """The root t (n,) of a t^2 + 2 b t + f = 0 at which a t + b is ``slope``, without cancellation."""

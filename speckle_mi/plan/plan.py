@@ -80,7 +80,7 @@ def make_plan(setup: Setup) -> Plan:
     if not setup.assembly.elements:
         free = Channel(Route((), (), 0), (), setup.assembly.detector, (), (), ())
         return Plan((free,), (Stage(FREE_SPACE, reason="nothing stands between target and detector, no ray is launched"),))
-    arrivals = find_routes(setup)
+    arrivals = find_routes(setup, _spot_samples(setup))
     if not arrivals.routes:
         blocker = _main_blocker(arrivals.stopped)
         return Plan((), (Stage(NO_WAY, reason=blocker),), (f"no light reaches the detector: {blocker}",))

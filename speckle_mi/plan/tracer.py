@@ -18,6 +18,14 @@ from ..scene.body import Body
 TARGET, NOTHING = -1, -2
 """What a ray meets besides an element: the target, nothing."""
 
+_OFF_SURFACE = 1e-3
+"""Least distance [mm] from a mesh at which rays start, so that its own facets do not stop them."""
+
+
+def off_surface(points: np.ndarray) -> float:
+    """That distance for points (n, 3) whose coordinates Mitsuba rounds to single precision, twice a ray [mm]."""
+    return max(_OFF_SURFACE, 16 * float(np.finfo(np.float32).eps) * float(np.max(np.abs(points), initial=0.0)))
+
 
 class Tracer:
     """Rays through the elements and the target of one assembly.
@@ -27,31 +35,33 @@ class Tracer:
 
     def __init__(self, assembly: Assembly) -> None:
         self._bodies = tuple(element.body for element in assembly.elements)
+        self._opaque = tuple(n for n, element in enumerate(assembly.elements) if element.kind == "opaque")
         self._target = None if assembly.target.points is not None else assembly.target.body
         self._scenes: dict[tuple[int, ...], tuple[mi.Scene, tuple[mi.Shape, ...]]] = {}
         self._lock = threading.Lock()
 
-    def nearest(self, origin: np.ndarray, direction: np.ndarray, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-        """Number of the element that each ray meets first, or ``TARGET``, ``NOTHING``, and its distance (n,) [mm].
+    def nearest_opaque(self, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Number of the opaque element that each ray meets first, or ``NOTHING``, and its distance (n,) [mm].
 
-        origin, direction: (n, 3), world, directions of unit length; frame: where the target stands.
+        origin, direction: (n, 3), world, directions of unit length.
         """
         number, distance = np.full(len(origin), NOTHING), np.full(len(origin), np.inf)
-        if self._bodies:
-            scene, shapes = self._scene(tuple(range(len(self._bodies))))
-            hit = scene.ray_intersect_preliminary(_rays(origin, direction))
-            distance = np.array(hit.t, dtype=np.float64)
-            for place, shape in enumerate(shapes):
-                number[np.array(hit.shape == mi.ShapePtr(shape))] = place
-            distance[number == NOTHING] = np.inf
-        if self._target is not None:
-            scene, _ = self._scene((TARGET,))
-            hit = scene.ray_intersect_preliminary(_rays(frame.to_local(origin), direction @ frame.axes))
-            nearer = np.array(hit.t, dtype=np.float64)
-            nearer[~np.array(hit.is_valid())] = np.inf
-            number[nearer < distance] = TARGET
-            distance = np.minimum(distance, nearer)
+        scene, shapes = self._scene(self._opaque)
+        clear = off_surface(origin)
+        hit = scene.ray_intersect_preliminary(_rays(origin + clear * direction, direction))
+        for place, shape in zip(self._opaque, shapes, strict=True):
+            number[np.array(hit.shape == mi.ShapePtr(shape))] = place
+        met = number != NOTHING
+        distance[met] = np.array(hit.t, dtype=np.float64)[met] + clear
         return number, distance
+
+    def nearest_target(self, origin: np.ndarray, direction: np.ndarray, frame: Frame) -> np.ndarray:
+        """Distance (n,) [mm] at which rays (n, 3) meet the target's mesh, which stands at ``frame``; inf for nothing."""
+        scene, _ = self._scene((TARGET,))
+        local = frame.to_local(origin)
+        clear = off_surface(local)
+        hit = scene.ray_intersect_preliminary(_rays(local + clear * (direction @ frame.axes), direction @ frame.axes))
+        return np.where(np.array(hit.is_valid()), np.array(hit.t, dtype=np.float64) + clear, np.inf)
 
     def free(
         self, numbers: tuple[int, ...], start: np.ndarray, direction: np.ndarray, reach: np.ndarray, frame: Frame

@@ -8,20 +8,11 @@ from ..geometry.plane import PlaneGrid
 from ..geometry.rotation import vectors_across
 from ..scattering.rough_surface import Scatterers
 from .setup import Setup
-from .tracer import TARGET
-from .routes import screen_crossing
+from .tracer import TARGET, off_surface
+from .meeting import stands_between
 
 _NOTICEABLE = 1e-3
 """Share of the power above which scatterers that only part of the detector sees are worth a warning."""
-
-_OFF_SURFACE = 1e-3
-"""Least distance [mm] from the target at which rays start, so that its own facets do not stop them."""
-
-
-def _off_surface(points: np.ndarray) -> float:
-    """That distance for points (n, 3) whose coordinates Mitsuba rounds to single precision, twice a ray [mm]."""
-    return max(_OFF_SURFACE, 16 * float(np.finfo(np.float32).eps) * float(np.max(np.abs(points))))
-
 
 def visible_scatterers(
     setup: Setup, lit: Scatterers, viewpoints: list[np.ndarray]
@@ -119,13 +110,16 @@ def _segment_free(setup: Setup, one: int, two: int, start: np.ndarray, end: np.n
     towards = end - start
     distance = np.linalg.norm(towards, axis=1)
     direction = towards / np.maximum(distance, 1e-300)[:, None]
-    # Where two surfaces touch there is no way between them that anything could stand in.
-    reach = np.maximum(distance - _off_surface(end), 0)
-    free = setup.tracer.free(tuple(standing), start, direction, reach, setup.frame) | (reach <= 0)
+    elements = setup.assembly.elements
+    meshes = tuple(number for number in standing if number == TARGET or elements[number].kind == "opaque")
+    free = np.ones(len(start), dtype=bool)
+    if meshes:
+        clear = off_surface(end)
+        reach = np.maximum(distance - 2 * clear, 0)
+        free = setup.tracer.free(meshes, start + clear * direction, direction, reach, setup.frame) | (reach <= 0)
     for number in standing:
-        if number != TARGET and setup.assembly.elements[number].kind == "opening":
-            crossing, in_hole, on_screen = screen_crossing(setup.assembly.elements[number], start, direction)
-            free &= ~((in_hole | on_screen) & (crossing < reach))
+        if number not in meshes:
+            free &= ~stands_between(elements[number], start, direction, distance)
     return free
 
 
@@ -139,7 +133,7 @@ def _beside(
         bounds[TARGET] = _target_bounds(setup)
     found = []
     for number, (lowest, highest) in bounds.items():
-        slack = clear + _off_surface(np.array([lowest, highest]))
+        slack = clear + off_surface(np.array([lowest, highest]))
         if np.all(lowest - slack <= high) and np.all(highest + slack >= low):
             found.append(number)
     return found
@@ -165,7 +159,7 @@ def _unshaded(setup: Setup, lit: Scatterers, viewpoint: np.ndarray) -> np.ndarra
     target, frame = setup.assembly.target, setup.frame
     points, normals = frame.to_local(lit.position), lit.normal @ frame.axes
     size = float(np.max(np.ptp(target.surface.facets.origin, axis=0), initial=0.0))
-    start = points + normals * max(_off_surface(points), 1e-5 * size, 4 * target.surface.roughness)
+    start = points + normals * max(off_surface(points), 1e-5 * size, 4 * target.surface.roughness)
     to_detector = frame.to_local(viewpoint[None])[0] - start
     distance = np.linalg.norm(to_detector, axis=1)
     to_laser = setup.assembly.beam.directions_to_source(lit.position) @ frame.axes

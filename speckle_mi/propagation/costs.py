@@ -12,11 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-import finufft
 import numpy as np
 
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..machine.cores import usable_cores
+from ..machine.nufft import finufft
 from .area import Area
 from .bandlimited import NodeGrid, band_limited_sum
 from .direct import direct_sum

@@ -18,11 +18,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import finufft
 import numpy as np
 
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..machine.cores import equal_slices, on_all_cores, usable_cores
+from ..machine.nufft import finufft
 from .area import Area
 from .chebyshev import TensorSeries, axis_tails, interpolation_matrix, tensor_coefficients, tensor_nodes
 from .paths import Path
