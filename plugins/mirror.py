@@ -32,7 +32,8 @@ Mirror (:monosp:`mirror`)
    - |exposed|
  * - bsdf
    - |bsdf|
-   - What other integrators see. (Default: a two-sided smooth conductor of this reflectance)
+   - A smooth conductor whose ``specular_reflectance`` is ``reflectance``, for other integrators. (Default: such a
+     one, two-sided)
    -
 
 A thin mirror of limited size that reflects on both sides: the part of the surface of revolution

@@ -70,8 +70,8 @@ class Assembly:
     """One laser, one target, one detector, the elements between, and what the scene asks of the integrator.
 
     pose: where the scene has its target, displaced from rest; sub_pixels: side of the square of sub-pixels that the
-    intensity is averaged over; index: refractive index of the medium around everything, 1 for air. The beam's wavelength
-    is that in this medium, and the elements' indices are relative to it.
+    intensity is averaged over; index: refractive index of the medium around everything, 1 for air. The beam's
+    wavelength is that in this medium, and the elements' indices are relative to it.
     """
 
     beam: Beam
