@@ -70,7 +70,8 @@ class Assembly:
     """One laser, one target, one detector, the elements between, and what the scene asks of the integrator.
 
     pose: where the scene has its target, displaced from rest; sub_pixels: side of the square of sub-pixels that the
-    intensity is averaged over.
+    intensity is averaged over; index: refractive index of the medium around everything, 1 for air. The beam's
+    wavelength is that in this medium, and the elements' indices are relative to it.
     """
 
     beam: Beam
@@ -80,6 +81,7 @@ class Assembly:
     options: Options
     pose: Pose
     sub_pixels: int = 1
+    index: float = 1.0
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Assembly) and self._whole == other._whole
@@ -91,6 +93,11 @@ class Assembly:
     def seed(self) -> int:
         """Which surface."""
         return self.target.surface.seed
+
+    @property
+    def vacuum_wavelength(self) -> float:
+        """Wavelength outside the medium that everything stands in [mm], as the scene gives it."""
+        return self.beam.wavelength * self.index
 
     @cached_property
     def spot(self) -> Spot:
