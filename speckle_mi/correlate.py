@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import math
-
 from collections.abc import Sequence
 
 from .command_line import command, parser

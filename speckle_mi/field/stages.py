@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.frames import Frame
 from ..geometry.outline import Circle
 from ..geometry.plane import PlaneGrid, PlanePoints
@@ -71,7 +72,7 @@ def channel_field(
         targets = _next_targets(channel, number, grid)
         try:
             nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, tolerance)
-        except ValueError as error:
+        except InputError as error:
             raise SceneError(
                 f"opening {rim.name!r}: {error}; "
                 "put a smaller stop, or set diffraction to false where there is no focus"
@@ -109,7 +110,7 @@ def _summed(channel: Channel, path, *arguments) -> SumResult:
     """The coherent sum; where a traced path finds no ray, SceneError that says on which way and what to do."""
     try:
         return coherent_sum(path, *arguments)
-    except ValueError as error:
+    except InputError as error:
         if not isinstance(path, TracedLeg):
             raise
         raise SceneError(
@@ -175,7 +176,7 @@ def _nodes(
     going = k * (going @ tangents).reshape(len(samples), 1, -1, 2)
     gradient = (coming - going).reshape(len(samples), -1, 2)
     if not np.isfinite(gradient).any():
-        raise ValueError("no ray leads over it from the spot to the detector")
+        raise InputError("no ray leads over it from the spot to the detector")
     outline = rim.plane.outline
     if not isinstance(outline, Circle):
         bound = _GRADIENT_SAFETY * np.nanmax(np.abs(gradient), axis=(0, 1))

@@ -126,7 +126,7 @@ _current: ContextVar[_Threads | None] = ContextVar("threads", default=None)
 
 
 class _Products:
-    """How many threads NumPy's products take, which is one number for the whole process: the last one out restores it."""
+    """How many threads NumPy's products take, one number for the whole process: the last one out restores it."""
 
     def __init__(self) -> None:
         self._changes = threading.Lock()

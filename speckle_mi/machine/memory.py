@@ -9,7 +9,7 @@ from . import cgroup
 
 
 def usable_memory(process: Path = cgroup.PROCESS) -> float:
-    """Memory that this process may take [bytes]: the machine's, or less by a limit of its group; inf where none says."""
+    """Memory that this process may take [bytes]: the machine's, less by a limit of its group; inf where none says."""
     return min(_physical_memory(), cgroup.memory_limit(process))
 
 

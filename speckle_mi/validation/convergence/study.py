@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from ...errors import InputError
 from ...experiments.expectation import expected_sensitivity
 from ...field.simulate import plan_of, simulate_frame
 from ...geometry.pose import Pose
@@ -158,7 +159,7 @@ class Study:
                 if method == "rays" and number not in history:
                     try:
                         history[number] = (count, self._seconds_of_rays(setting))
-                    except ValueError as error:
+                    except InputError as error:
                         return [*rows, replace(self._blank(setting), status=DOES_NOT_APPLY, note=one_line(error))]
                 expected = _predicted(setting, history.get(number), self.assembly.detector.size)
                 row = self._one_setting(setting, max(expected, coarser[count]))
@@ -196,7 +197,7 @@ class Study:
             return replace(blank, note=note)
         try:
             return self._measured(setting, blank, sample)
-        except ValueError as error:
+        except InputError as error:
             return replace(blank, status=DOES_NOT_APPLY, note=one_line(error))
 
     def _blank(self, setting: Setting) -> Row:
