@@ -66,6 +66,8 @@ _SHORTEST, _LONGEST = 1e-9, 1e15
 
 
 class Laser(mi.Emitter):
+    role = "laser"
+
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)

@@ -60,6 +60,8 @@ import numpy as np
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.outline import Circle
 from speckle_mi.optics.surface import Surface
+from speckle_mi.scene.body import Body
+from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
 from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
 from ._mesh import (
@@ -120,6 +122,12 @@ class Lens(mi.Mesh):
     def index(self) -> float:
         """Index of refraction of the glass."""
         return value_of(self.ior)
+
+    def element(self) -> Element:
+        """The glass between its two surfaces."""
+        vertices, _ = self._vertices()
+        body = Body.mesh(self.placement.frame.to_world(vertices), _faces())
+        return Element(self.id(), "glass", self.surfaces(), body, index=self.index)
 
     def surfaces(self) -> tuple[Surface, Surface]:
         """Front and back surface in the world, each with its vertex and rim."""

@@ -35,8 +35,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Not at the top: a command answers interrupts before it imports what takes time.
     from .machine.files import identity_in, refuse_other_settings, require_output, write_json
     from .machine.system import system_information
+    from .report.terminal import print_machine, terminal
     from .validation.benchmark.study import PEER_SECONDS, QUICK_PEER_SECONDS, TOLERANCE, Bench, Entry
-    from .validation.benchmark.tables import new_console, print_costs, print_pieces, print_scaling, print_sums
+    from .validation.benchmark.tables import print_costs, print_pieces, print_scaling, print_sums
 
     identity = {"quick": options.quick, "variant": options.variant}
     if options.out is not None:
@@ -45,11 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     bench = Bench(_assembly(options), QUICK_PEER_SECONDS if options.quick else PEER_SECONDS, options.quick)
     counts = QUICK_SCATTERERS if options.quick else SCATTERERS
     begin = time.perf_counter()
-    console = new_console(options.quiet)
+    console = terminal(options.quiet)
     system = system_information() | {"numba": _numba_version()}
-    names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "numba",
-             "LLVM")  # fmt: skip
-    console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
+    print_machine(console, system)
     # Every part is shown and kept when it is done: an interrupt loses no more than the part it falls into.
     content = {"identity": identity, "pixels": list(bench.grid.shape[::-1]), "tolerance": TOLERANCE, "system": system}
 
@@ -83,7 +82,7 @@ def _assembly(options):
     import mitsuba as mi
 
     from .machine.backend import set_variant
-    from .scene.assembly import assembly_from_scene
+    from .scene.read import assembly_from_scene
     from .validation.benchmark.study import SCENE
 
     set_variant(options.variant)

@@ -50,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Not before the arguments are known to be good: these bring matplotlib with them.
     from .machine.progress import progress_bars
     from .machine.system import system_information
-    from .scene.assembly import assembly_from_scene
+    from .scene.read import assembly_from_scene
     from .validation.convergence.plots import plot_convergence, plot_scatter
     from .validation.convergence.report import print_report, write_rows, write_study
     from .validation.convergence.study import Allowance, Study

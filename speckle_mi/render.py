@@ -50,11 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     require_distinct(SCENE=options.scene, output=options.output, sources=options.sources)
 
     scene = open_scene(options.scene, options.defaults, options.variant)
-    from .field.simulate import simulate_frame
+    from .field.simulation import simulate_frame
     from .field.sources import settings_of_sources, source_layers, write_sources
     from .images.exr import write_field
     from .machine.progress import progress_bars
-    from .scene.assembly import assembly_from_scene
+    from .scene.read import assembly_from_scene
 
     assembly = assembly_from_scene(scene, spp=options.spp)
     settings = {

@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for check in cases.catalogue(options.quick, progress=not options.quiet):
             checks.append(check)
     if not options.quiet:
-        cases.print_table(checks)
+        cases.print_checks(checks)
     broken = sum(check.verdict == BROKEN for check in checks)
     limits = sum(check.verdict == LIMIT for check in checks)
     say(options, f"{len(checks)} checks: {len(checks) - broken - limits} ok, {limits} limits, {broken} broken")

@@ -18,10 +18,13 @@ from .errors import InputError
 from .machine.interrupt import keeping
 
 if TYPE_CHECKING:
-    from .experiments.sweep import SweepSettings
+    from .experiments.sweep_result import SweepSettings
 
 SMALLEST_RANGE = 1e-9
 """Least range of a sweep [mm or deg]: places hold fewer digits than a smaller one needs."""
+
+SEEDS = 8
+"""Surfaces of a sweep unless asked for otherwise."""
 
 MAX_FRAMES = 1_000_000
 """Most frames of a sweep."""
@@ -31,7 +34,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
-    from .experiments.sweep import SweepResult, frame_count, run_sweep
+    from .experiments.sweep import run_sweep
+    from .experiments.sweep_result import SweepResult, frame_count
     from .machine.files import require_folder
     from .scene.load import open_scene
 
@@ -40,10 +44,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     scene = open_scene(options.scene, options.defaults, options.variant)
     from .report import sweep_report as report
     from .report.console import print_report
-    from .scene.assembly import assembly_from_scene
+    from .scene.read import assembly_from_scene
 
     assembly = assembly_from_scene(scene)
-    settings = _with_seeds(settings, assembly.seed, options.seeds)
+    settings = _with_seeds(settings, assembly.seed, _surfaces(assembly, options))
     largest = max(assembly.detector.shape)
     if settings.window is not None and settings.window > largest:
         raise InputError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
@@ -82,7 +86,8 @@ def _parser():
         "--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)"
     )
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
-    parser.add_argument("--seeds", type=int, default=8, help="number of surfaces (default: %(default)s)")
+    seeds_help = f"number of surfaces (default: {SEEDS}, or 1 where the scene has its own points)"
+    parser.add_argument("--seeds", type=int, default=None, help=seeds_help)
     window_help = "side of the correlation window, px (default: 256, less on a small detector; the paper's: 64)"
     parser.add_argument("--window", type=int, default=None, help=window_help)
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
@@ -93,7 +98,7 @@ def _parser():
 def _settings(options) -> SweepSettings:
     import numpy as np
 
-    from .experiments.sweep import SweepSettings, frames_of
+    from .experiments.sweep_result import SweepSettings, frames_of
     from .geometry.pose import DEGREES_OF_FREEDOM, Pose
 
     dofs = tuple(name.strip() for name in options.dof.split(","))
@@ -107,14 +112,15 @@ def _settings(options) -> SweepSettings:
         raise InputError(f"--range {options.range:g}: must be a finite number of at least {least}")
     if options.steps < 2:
         raise InputError(f"--steps {options.steps}: must be at least 2")
-    if options.seeds < 1:
-        raise InputError(f"--seeds {options.seeds}: must be at least 1")
+    seeds = SEEDS if options.seeds is None else options.seeds
+    if seeds < 1:
+        raise InputError(f"--seeds {seeds}: must be at least 1")
     if options.window is not None and options.window < 4:
         raise InputError(f"--window {options.window}: must be at least 4 px")
-    frames = frames_of(options.seeds, len(dofs), options.steps)
+    frames = frames_of(seeds, len(dofs), options.steps)
     if frames > MAX_FRAMES:
         raise InputError(
-            f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, "
+            f"--seeds {seeds} --steps {options.steps}: would make {frames:.3g} frames, "
             f"must be at most {MAX_FRAMES:.0e}"
         )
     for dof in dofs:
@@ -124,6 +130,19 @@ def _settings(options) -> SweepSettings:
             raise InputError(f"--range {options.range:g}: {error}") from None
     displacements = np.linspace(-options.range / 2, options.range / 2, options.steps)
     return SweepSettings(dofs, displacements, (), options.window)
+
+
+def _surfaces(assembly, options) -> int:
+    """How many surfaces are swept: the user's own points are one, whatever its seed."""
+    if assembly.target.points is None:
+        return SEEDS if options.seeds is None else options.seeds
+    if options.seeds is not None and options.seeds > 1:
+        raise InputError(
+            f"--seeds {options.seeds}: must be 1, the target's own points are one surface and no seed makes another"
+        )
+    if options.seeds is None:
+        say(options, "one surface: the target's own points; intervals rest on the residuals of its frames")
+    return 1
 
 
 def _with_seeds(settings: SweepSettings, first: int, count: int) -> SweepSettings:

@@ -19,7 +19,7 @@ from scene_builder import (
     transform,
 )
 
-from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.read import assembly_from_scene
 from speckle_mi.scene.errors import one_line
 from speckle_mi.geometry.frames import Frame
 

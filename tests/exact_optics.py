@@ -32,7 +32,7 @@ from scipy.special import roots_legendre
 
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.rotation import rotation_matrix
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 STEP = 1e-40  # Of a complex step: derivatives without any cancellation.
 

@@ -31,7 +31,7 @@ def main(kind: str, examples: str, outcomes: str) -> None:
 
 
 def judge_scene(content: bytes, folder: Path) -> tuple[str, str]:
-    from speckle_mi.scene.assembly import assembly_from_scene
+    from speckle_mi.scene.read import assembly_from_scene
     from speckle_mi.scene.errors import one_line
     from speckle_mi.scene.load import open_scene
 

@@ -22,7 +22,7 @@ from speckle_mi.validation.convergence.frame import (
 )
 from speckle_mi.validation.convergence.scatter import Scatter
 from speckle_mi.geometry.pose import Pose
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 SMALL = ["-D", "width=64", "-D", "height=48", "-D", "pixel_pitch=0.03", "-D", "beam_radius=0.2"]
 AMPLE = "600"

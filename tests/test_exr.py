@@ -81,7 +81,7 @@ def test_mitsuba_opens_it_and_shows_the_intensity(mitsuba, written):
 
 def test_header_of_a_rendered_frame_says_what_it_is(shipped, tmp_path):
     from speckle_mi.geometry.pose import Pose
-    from speckle_mi.field.simulate import simulate
+    from speckle_mi.field.simulation import simulate
 
     assembly = shipped("both_tilted", width=32, height=16, seed=3, method="direct")
     rendered = simulate(assembly, Pose(x=0.02, rz=-0.01))

@@ -21,11 +21,11 @@ from scene_builder import (
 )
 
 from speckle_mi.machine import llvm
-from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.read import assembly_from_scene
 from speckle_mi.scene.errors import one_line
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
-from speckle_mi.field.simulate import simulate
+from speckle_mi.field.simulation import simulate
 
 ABOVE = frame_along(-direction(0), 50 * direction(0), np.array([1.0, 0, 0]))
 CAMERA = detector_frame(direction(0), 60.0)
@@ -101,7 +101,7 @@ def test_a_scene_may_be_given_as_a_dictionary(mitsuba):
         # look_at works in single precision: 1e-7 of the direction, and of 50 mm or more.
         np.testing.assert_allclose(assembly.beam.axis, -laser / 50, atol=1e-6)
         np.testing.assert_allclose(assembly.detector.centre, eye, atol=1e-5)
-        np.testing.assert_allclose(assembly.target.spot, 0, atol=1e-4)
+        np.testing.assert_allclose(assembly.spot.point, 0, atol=1e-4)
     assert np.array(mitsuba.render(scene)).shape == (16, 24, 3)
 
 

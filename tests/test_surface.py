@@ -16,7 +16,7 @@ from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.geometry.rotation import rotation_matrix
 from speckle_mi.scattering.beam import Beam
-from speckle_mi.field.simulate import simulate, simulate_frame
+from speckle_mi.field.simulation import simulate, simulate_frame
 from speckle_mi.scattering.facets import Facets
 from speckle_mi.scattering.rough_surface import RoughSurface, illuminated_scatterers
 

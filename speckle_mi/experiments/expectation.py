@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import theory
-from ..field.simulate import plan_of
+from ..field.simulation import plan_of
 from ..geometry.outline import Circle
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..optics.aim import aim
@@ -78,7 +78,7 @@ def _beam_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -
         np.linalg.norm(
             theory.beam_displacement_of_material(
                 Pose(**{dof: float(displacement)}),
-                target.spot,
+                assembly.spot.point,
                 target.frame.origin,
                 target.frame.axes,
                 -assembly.beam.axis,
@@ -110,7 +110,7 @@ def _free_space(assembly: Assembly, place: np.ndarray, u: np.ndarray, v: np.ndar
     """(2, 6) displacement [mm/mm, mm/rad] of the free-space pattern at a place, along u and v."""
     target, beam = assembly.target, assembly.beam
     return theory.first_order_displacement(
-        target.spot,
+        assembly.spot.point,
         target.frame.origin,
         target.frame.axes,
         -beam.axis,
@@ -118,7 +118,7 @@ def _free_space(assembly: Assembly, place: np.ndarray, u: np.ndarray, v: np.ndar
         place,
         u,
         v,
-        target.spot_normal,
+        assembly.spot.normal,
     )
 
 
@@ -140,8 +140,8 @@ def _imaged(assembly: Assembly, view: _ChiefRay | None) -> np.ndarray | None:
         return None
     target, beam = assembly.target, assembly.beam
     return theory.imaging_displacement(
-        target.spot, target.frame.origin, target.frame.axes, -beam.axis, beam.wavefront_radius,
-        view.sight, view.across[0], view.across[1], view.magnification, float(mean), target.spot_normal,
+        assembly.spot.point, target.frame.origin, target.frame.axes, -beam.axis, beam.wavefront_radius,
+        view.sight, view.across[0], view.across[1], view.magnification, float(mean), assembly.spot.normal,
     )
 
 
@@ -152,14 +152,14 @@ def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | N
     target, beam = assembly.target, assembly.beam
     if not channel.has_power:
         return theory.centre_of_gravity_aperture(
-            target.spot, target.frame.origin, target.frame.axes, -beam.axis, channel.openings[0].plane.frame.origin,
-            channel.grid.centre, channel.grid.u, channel.grid.v, target.spot_normal,
+            assembly.spot.point, target.frame.origin, target.frame.axes, -beam.axis, channel.openings[0].plane.frame.origin,
+            channel.grid.centre, channel.grid.u, channel.grid.v, assembly.spot.normal,
         )
     slide = theory.spot_displacement(
-        target.spot, target.frame.origin, target.frame.axes, -beam.axis, target.spot_normal
+        assembly.spot.point, target.frame.origin, target.frame.axes, -beam.axis, assembly.spot.normal
     )
     steps = np.concatenate([[np.zeros(3)], _STEP * np.eye(3)])
-    landing = _landings_through_opening(channel, target.spot + steps)
+    landing = _landings_through_opening(channel, assembly.spot.point + steps)
     return None if landing is None else ((landing[1:] - landing[0]) / _STEP).T @ slide
 
 
@@ -233,7 +233,7 @@ def _chief_ray(
     assembly: Assembly, channel: Channel, system: Sequence, u: np.ndarray, v: np.ndarray, over: _Zones
 ) -> _ChiefRay | None:
     """The chief ray through ``system``, its end measured along u and v, with the rays over zones of the opening."""
-    spot = assembly.target.spot
+    spot = assembly.spot.point
     launch = _launch_to(channel, spot[None], _opening_middle(channel))
     zones = _launch_to(channel, spot[None], over.places)
     if launch is None or zones is None:

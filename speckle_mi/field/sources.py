@@ -23,15 +23,15 @@ def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[s
 
     Raises InputError where they take more memory than the machine has.
     """
-    from .simulate import field_of
+    from .simulation import Simulation
 
     asked, count = count, min(count, scatterers.count)
     if too_much := excess(count * assembly.detector.size * BYTES_PER_LAYER):
         raise InputError(f"--per-source {asked}: the layers {too_much}")
     digits = max(3, len(str(count)))
-    layers = {}
+    layers, simulation = {}, Simulation(assembly)
     for number in range(count):
-        layers[f"source{number:0{digits}d}"] = field_of(assembly, scatterers.selected(np.array([number])), pose)
+        layers[f"source{number:0{digits}d}"] = simulation.field_of(scatterers.selected(np.array([number])), pose)
         tell("layers", number + 1, count)
     return layers
 

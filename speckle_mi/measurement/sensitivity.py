@@ -46,8 +46,8 @@ class Sensitivity:
         """Mean over surfaces less theory [unit]; None without theory."""
         return None if self.theory is None else self.value - self.theory
 
-    def to_json(self) -> dict[str, float | str | None | list[float | None]]:
-        """Plain numbers; None where nothing was measured or no theory exists."""
+    def to_json(self) -> dict[str, float | int | str | None | list[float | None]]:
+        """Plain numbers and what they rest on; None where nothing was measured or no theory exists."""
         return {
             "value": _plain(self.value),
             "ci95": [_plain(bound) for bound in self.ci95],
@@ -55,6 +55,10 @@ class Sensitivity:
             "bias": _plain(self.bias),
             "scatter_um": _plain(self.scatter_um),
             "unit": self.unit,
+            "basis": self.basis,
+            "frames_used": self.frames_used,
+            "frames_dropped": self.frames_dropped,
+            "note": self.note,
         }
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frames import Frame
-from ..geometry.outline import Circle, Rectangle
+from ..geometry.outline import Circle, OffsetCircle, Rectangle
 
 ORTHONORMAL_TOLERANCE = 1e-6
 """Axes further from orthonormal than this are a mistake; closer ones are rounding and are made exact."""
@@ -33,7 +33,7 @@ class Surface:
     frame: Frame
     curvature: float = 0.0
     conic: float = 0.0
-    outline: Circle | Rectangle | None = None
+    outline: Circle | OffsetCircle | Rectangle | None = None
 
     def __post_init__(self) -> None:
         axes = np.asarray(self.frame.axes, dtype=np.float64)
@@ -60,6 +60,14 @@ class Surface:
     @property
     def is_plane(self) -> bool:
         return self.curvature == 0.0
+
+    @property
+    def middle(self) -> np.ndarray:
+        """World point (3,) of the surface in the middle of its outline: the vertex, but for a part beside the axis."""
+        if self.outline is None:
+            return self.frame.origin
+        x, y = self.outline.centre
+        return self.frame.to_world(np.array([[x, y, self.sag(x * x + y * y)]]))[0]
 
     def sag(self, squared: np.ndarray) -> np.ndarray:
         """Height (n,) [mm] above the vertex plane at squared distances (n,) [mm^2] from the axis.
@@ -110,6 +118,31 @@ class Surface:
             t = np.where(beyond, np.nan, t)
         # From the near start, so that a source far away does not leave its rounding in the hit point.
         return foot + t, start + t * direction
+
+    def crossings(self, point: np.ndarray, direction: np.ndarray, closed: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths (2, n) [mm] along local rays to both crossings, rising, and the places (2, 3, n); NaN where none is.
+
+        point, direction: (3, n), directions of unit length; lengths may be negative. closed: whether the whole quadric is
+        meant; else only its sheet through the vertex, inside the outline.
+        """
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            foot = -dot(point, direction)
+            start = point + foot * direction
+            c, k, cosine = self.curvature, self.conic, direction[2]
+            a = c * (1.0 + k * cosine * cosine)
+            b = (c * k * start[2] - 1.0) * cosine
+            f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
+            q = -(b + np.copysign(np.sqrt(b * b - a * f), b))
+            roots = np.stack([f / q, np.where(a == 0.0, np.nan, q / a)])
+            length = foot + np.sort(roots, axis=0)  # NaN comes last
+            hit = point[None] + length[:, None] * direction
+            if not closed:
+                beyond = (1.0 + k) * c * hit[:, 2] >= 1.0
+                outside = np.zeros_like(beyond)
+                if self.outline is not None:
+                    outside = np.array([np.any(self.outline.margins(x, y) < 0, axis=0) for x, y, _ in hit])
+                length = np.where(beyond | outside, np.nan, length)
+        return length, hit
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

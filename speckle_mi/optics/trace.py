@@ -116,7 +116,7 @@ class Log:
             margins = outline.margins(x, y)
             self.margins.append(margins)
             self._note(np.any(margins < 0.0, axis=0), RayStatus.OUTSIDE_OUTLINE)
-        self._note(step.length < -BEHIND_TOLERANCE, RayStatus.BEHIND)
+        self._note(step.length < -max(BEHIND_TOLERANCE, step.interaction.slack), RayStatus.BEHIND)
         self._note(~np.isfinite(step.length), RayStatus.MISSED)
         if step.reflected_totally is not None:
             self._note(step.reflected_totally, RayStatus.TOTAL_INTERNAL_REFLECTION)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..geometry.frames import Frame
 from ..geometry.outline import Circle
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
@@ -18,10 +17,23 @@ from ..optics.sequence import Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from ..optics.unfold import unfold
-from ..scene.assembly import Assembly
+from .setup import Setup
 from ..scene.errors import SceneError
 from .routes import Route, find_routes, points_on
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
+from .stage import (
+    BESIDE,
+    DIFFRACTED,
+    FREE_SPACE,
+    LEFT_OUT,
+    NO_WAY,
+    NOT_DIFFRACTED,
+    SHADOWS,
+    TRACED,
+    UNFOLDED,
+    WAY,
+    Stage,
+)
 from .way import Channel, Rim, rims_of
 
 CLEAR_OF_EDGE = 25.0
@@ -47,35 +59,38 @@ _LIMITING_SHARE = 0.01
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done for a scene. channels: one a route; lines: in words; warnings: one sentence each."""
+    """What is done for a scene. channels: one a route; stages: in order; warnings: one sentence each."""
 
     channels: tuple[Channel, ...]
-    lines: tuple[str, ...]
+    stages: tuple[Stage, ...]
     warnings: tuple[str, ...] = ()
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The stages in words."""
+        return tuple(map(str, self.stages))
 
-def make_plan(assembly: Assembly, frame: Frame) -> Plan:
-    """The plan for a scene with its target at ``frame``.
+
+def make_plan(setup: Setup) -> Plan:
+    """The plan for a scene with its target at a pose.
 
     Raises SceneError where the field cannot be computed as asked: geometric light at a caustic, or no opening that
     limits the light in a system with a focus on the detector.
     """
-    if not assembly.elements:
-        free = Channel(Route((), (), 0), (), assembly.detector, (), (), ())
-        return Plan((free,), ("free space: nothing stands between target and detector, no ray is launched",))
-    arrivals = find_routes(assembly)
+    if not setup.assembly.elements:
+        free = Channel(Route((), (), 0), (), setup.assembly.detector, (), (), ())
+        return Plan((free,), (Stage(FREE_SPACE, reason="nothing stands between target and detector, no ray is launched"),))
+    arrivals = find_routes(setup, _spot_samples(setup))
     if not arrivals.routes:
         blocker = _main_blocker(arrivals.stopped)
-        return Plan(
-            (), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",)
-        )
-    channels = tuple(_channel(assembly, frame, route) for route in arrivals.routes)
-    lines = [line for channel in channels for line in channel.lines]
+        return Plan((), (Stage(NO_WAY, reason=blocker),), (f"no light reaches the detector: {blocker}",))
+    channels = tuple(_channel(setup, route) for route in arrivals.routes)
+    stages = [stage for channel in channels for stage in channel.stages]
     if arrivals.in_area:
-        return Plan(channels, tuple(lines))
+        return Plan(channels, tuple(stages))
     blocker = _main_blocker(arrivals.stopped)
-    lines.append("the geometric light passes beside the detector: only diffracted light can reach it")
-    return Plan(channels, tuple(lines), (f"no geometric light reaches the detector: {blocker}",))
+    stages.append(Stage(BESIDE))
+    return Plan(channels, tuple(stages), (f"no geometric light reaches the detector: {blocker}",))
 
 
 def _main_blocker(stopped) -> str:
@@ -85,39 +100,39 @@ def _main_blocker(stopped) -> str:
     return f"most test rays end at {max(elements)[1]!r}"
 
 
-def _channel(assembly: Assembly, frame: Frame, route: Route) -> Channel:
-    interactions, grid = unfold(route.interactions, assembly.detector)
-    rims = rims_of(assembly.spot_at(frame)[0], route.names, interactions)
+def _channel(setup: Setup, route: Route) -> Channel:
+    interactions, grid = unfold(route.interactions, setup.assembly.detector)
+    rims = rims_of(setup.spot.point, route.names, interactions)
     bare = Channel(route, interactions, grid, (), rims, ())
-    openings, reason = _openings(assembly, frame, bare)
-    lines = [f"way: {route.label}", *_mirror_line(route)]
+    openings, decision = _openings(setup, bare)
+    stages = [Stage(WAY), *_unfolded(route)]
     traced = [name for name, i in zip(route.names, interactions) if i.action != "pass"]
     if traced:
-        lines.append(f"traced: path length and amplitude through {', '.join(dict.fromkeys(traced))}")
-    lines.append(reason)
-    channel = replace(bare, openings=openings, lines=tuple(lines))
+        stages.append(Stage(TRACED, tuple(dict.fromkeys(traced))))
+    stages.append(decision)
+    channel = replace(bare, openings=openings)
     if openings:
-        channel = replace(channel, hidden=hidden_pixels(assembly, channel))
-    if assembly.options.diffraction and assembly.options.method != "rays":
-        lines += _edges_beside(assembly, channel, _spot_samples(assembly, frame))
-    return replace(channel, lines=tuple(lines))
+        channel = replace(channel, hidden=hidden_pixels(setup, channel))
+    if setup.assembly.options.diffraction and setup.assembly.options.method != "rays":
+        stages += _edges_beside(setup, channel, _spot_samples(setup))
+    return replace(channel, stages=tuple(replace(stage, way=route.label) for stage in stages))
 
 
-def _edges_beside(assembly: Assembly, channel: Channel, spots: np.ndarray) -> list[str]:
-    """A line on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
+def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Stage]:
+    """A stage on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
 
     Raises SceneError where such a shape cuts the light.
     """
     wave = 1.0
     if channel.openings:
-        names = shapes_before(assembly, channel, spots)
+        names = shapes_before(setup, channel, spots)
     else:
-        names = shapes_beside_way(assembly, channel, spots)
-        lit = np.array([*lit_pixels(assembly, channel, spots, channel.grid, rims=False)] if names else [])
+        names = shapes_beside_way(setup, channel, spots)
+        lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
         if names and not np.any(lit):
             return []  # hidden altogether: stays dark
         if np.all(lit):
-            v, names = clearance_of_shapes(assembly, channel, spots, _CLEARANCES)
+            v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
             wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 1.0
     if not names:
         return []
@@ -128,47 +143,47 @@ def _edges_beside(assembly: Assembly, channel: Channel, spots: np.ndarray) -> li
             "computed: put an aperture with the free part as its hole in its place, move it out of the light, or set "
             "diffraction to false for its geometric shadow"
         )
-    return [
-        f"left out: the wave of the edge of {named}, which stands beside the light (at most {wave:.1%} of the field)"
-    ]
+    return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
 
 
-def _mirror_line(route: Route) -> list[str]:
+def _unfolded(route: Route) -> list[Stage]:
     mirrors = [name for name, i in zip(route.names, route.interactions) if i.action == "reflect" and i.surface.is_plane]
-    return [f"unfolded: plane mirror {', '.join(mirrors)}"] if mirrors else []
+    return [Stage(UNFOLDED, tuple(mirrors))] if mirrors else []
 
 
 # Which openings limit the light
 
 
-def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple[Rim, ...], str]:
-    """The openings to diffract at, and the reason in words."""
+def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], Stage]:
+    """The openings to diffract at, and the stage that says so and why."""
     if not channel.rims:
-        return (), _without_rims(assembly, frame, channel)
-    geometric, why_not = _geometric_view(assembly, frame, channel)
-    if not assembly.options.diffraction:
+        return (), _without_rims(setup, channel)
+    geometric, why_not = _geometric_view(setup, channel)
+    if not setup.assembly.options.diffraction:
         if geometric is None:
             raise SceneError(
                 f"way {channel.route.label}: {why_not}, so that the geometric field which diffraction=false asks for "
                 "does not exist all over it: set diffraction to true with an aperture in this way, block the way, or "
                 "move the detector"
             )
-        return (), "openings cast geometric shadows, as diffraction=false asks for"
+        return (), Stage(SHADOWS, reason="as diffraction=false asks for")
     if geometric is not None:
-        fringe, waves = np.array([_edge_wave(assembly, channel, rim, geometric) for rim in channel.rims]).T
+        fringe, waves = np.array([_edge_wave(setup, channel, rim, geometric) for rim in channel.rims]).T
         if np.all(fringe >= CLEAR_OF_EDGE):
             nearest = channel.rims[int(np.argmin(fringe))]
-            return (), (
-                f"diffracts nothing: the nearest edge, of {nearest.name}, is clear of the light "
-                f"(the edges' waves are about {waves.max():.1%} of the field)"
+            wave = float(waves.max())
+            reason = (
+                f"the nearest edge, of {nearest.name}, is clear of the light "
+                f"(the edges' waves are about {wave:.1%} of the field)"
             )
+            return (), Stage(NOT_DIFFRACTED, reason=reason, predicted_error=wave)
         candidates = [rim for rim, v in zip(channel.rims, fringe) if v < CLEAR_OF_EDGE]
     else:
         candidates = list(channel.rims)
-    limiting = _limiting(assembly.spot_at(frame)[0], channel, candidates)
+    limiting = _limiting(setup.spot.point, channel, candidates)
     if not limiting:
         if geometric is not None:
-            return (), "diffracts nothing: no edge lies in the light"
+            return (), Stage(NOT_DIFFRACTED, reason="no edge lies in the light")
         raise SceneError(f"way {channel.route.label}: {why_not} but no opening limits the light: put an aperture")
     screens = [rim for rim in limiting if rim.is_screen]
     if channel.has_power:
@@ -176,36 +191,36 @@ def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple
         chosen = (screens or limiting)[:1]
     else:
         chosen = sorted(limiting, key=lambda rim: rim.position)
-    names = ", ".join(rim.name for rim in chosen)
+    names = tuple(rim.name for rim in chosen)
     clipping = [rim.name for rim in limiting if rim not in chosen]
-    note = f" (shadows of {', '.join(dict.fromkeys(clipping))} fall on it)" if clipping else ""
-    if assembly.options.method == "rays":
-        return tuple(chosen), f"limited by {names}: rays are not diffracted, openings cast geometric shadows"
-    return tuple(chosen), f"diffracted at {names}{note}"
+    if setup.assembly.options.method == "rays":
+        return tuple(chosen), Stage(SHADOWS, names, reason="as rays are not diffracted")
+    note = f"shadows of {', '.join(dict.fromkeys(clipping))} fall on it" if clipping else ""
+    return tuple(chosen), Stage(DIFFRACTED, names, reason=note)
 
 
-def _without_rims(assembly: Assembly, frame: Frame, channel: Channel) -> str:
+def _without_rims(setup: Setup, channel: Channel) -> Stage:
     if not channel.interactions:
-        return "free space: the light meets nothing on this way"
-    geometric, why_not = _geometric_view(assembly, frame, channel)
+        return Stage(FREE_SPACE, reason="the light meets nothing on this way")
+    geometric, why_not = _geometric_view(setup, channel)
     if geometric is None:
         raise SceneError(f"way {channel.route.label}: {why_not} but no opening limits the light: put an aperture")
-    return "diffracts nothing: no edge lies on this way"
+    return Stage(NOT_DIFFRACTED, reason="no edge lies on this way")
 
 
-def _spot_samples(assembly: Assembly, frame: Frame) -> np.ndarray:
+def _spot_samples(setup: Setup) -> np.ndarray:
     """The spot's middle and points around it as far as it is summed, (n, 3)."""
-    target = assembly.target
+    target = setup.assembly.target
     if target.points is not None:
-        places = frame.to_world(target.points.points)
+        places = setup.frame.to_world(target.points.points)
         return np.unique(
             np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
             axis=0,
         )
-    size = assembly.beam.cutoff if np.isfinite(assembly.beam.radius) else np.inf
+    size = setup.assembly.beam.cutoff if np.isfinite(setup.assembly.beam.radius) else np.inf
     size = min(size, 0.5 * float(np.ptp(target.surface.facets.bounds)))
-    spot, _ = assembly.spot_at(frame)
-    return np.array([spot, *(spot + size * sign * frame.axes[:, k] for k in (0, 1) for sign in (-1, 1))])
+    spot = setup.spot.point
+    return np.array([spot, *(spot + size * sign * setup.frame.axes[:, k] for k in (0, 1) for sign in (-1, 1))])
 
 
 def _detector_samples(grid: PlaneGrid) -> np.ndarray:
@@ -224,10 +239,10 @@ class _View:
     points: np.ndarray = field(repr=False)
 
 
-def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[_View | None, str]:
+def _geometric_view(setup: Setup, channel: Channel) -> tuple[_View | None, str]:
     """The rays from spot to detector; None and the reason where not every pair has exactly one, clear of a caustic."""
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
-    spots, pixels = _spot_samples(assembly, frame), _detector_samples(channel.grid)
+    spots, pixels = _spot_samples(setup), _detector_samples(channel.grid)
     sources, targets = np.repeat(spots, len(pixels), axis=0), np.tile(pixels, (len(spots), 1))
     aimed = aim(sequence, sources, targets)
     lost = aimed.status[~aimed.converged]
@@ -260,7 +275,7 @@ def _several_rays(channel: Channel, spot: np.ndarray) -> bool:
     return bool(np.any(apart[aimed.converged] > _SAME_RAY))
 
 
-def _edge_wave(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> tuple[float, float]:
+def _edge_wave(setup: Setup, channel: Channel, rim: Rim, view: _View) -> tuple[float, float]:
     """How far the rays keep from a rim, and how strong its wave is on the detector, relative to the field.
 
     The first is the smallest Fresnel parameter v = d sqrt(2 / (lambda L)) of a ray's distance d to the rim, negative
@@ -273,10 +288,10 @@ def _edge_wave(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> t
     nearest = int(np.argmin(clearance))
     pair = slice(nearest, nearest + 1)
     curvature = _curvature_over(channel, rim, view.sources[pair], view.targets[pair], view.points[rim.number, pair])
-    v = float(clearance[nearest] * np.sqrt(2 * abs(curvature) / assembly.beam.wavelength))
+    v = float(clearance[nearest] * np.sqrt(2 * abs(curvature) / setup.assembly.beam.wavelength))
     wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 1.0
     if isinstance(rim.plane.outline, Circle):
-        turns = assembly.beam.wavenumber * rim.plane.outline.radius * np.hypot(hit[:, 0], hit[:, 1]) * abs(curvature)
+        turns = setup.assembly.beam.wavenumber * rim.plane.outline.radius * np.hypot(hit[:, 0], hit[:, 1]) * abs(curvature)
         with np.errstate(divide="ignore"):
             wave = max(wave, float(np.sqrt(np.mean(np.minimum(1.0, 2 / (np.pi * turns))))))
     return v, wave

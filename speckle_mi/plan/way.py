@@ -11,6 +11,7 @@ from ..geometry.plane import PlaneGrid
 from ..optics.sequence import Interaction
 from ..optics.surface import Surface
 from .routes import Route
+from .stage import Stage
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Channel:
 
     interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
     diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
-    lines: the plan in words; hidden: pixels (rows, columns) that something hides from a part of the last opening.
+    stages: what is done for it; hidden: pixels (rows, columns) that something hides from a part of the last opening.
     """
 
     route: Route
@@ -49,7 +50,7 @@ class Channel:
     grid: PlaneGrid
     openings: tuple[Rim, ...]
     rims: tuple[Rim, ...]
-    lines: tuple[str, ...]
+    stages: tuple[Stage, ...]
     hidden: np.ndarray | None = None
 
     @property

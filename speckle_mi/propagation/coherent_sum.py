@@ -6,7 +6,7 @@ tolerance there is replaced by a better one rather than believed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -57,25 +57,82 @@ KERNEL_PAIRS = 100_000
 """Pairs of that sample from which the kernel is worth its launch; fewer are summed in NumPy."""
 
 
+EVERY_PAIR, ON_NODES, NUFFT, DARK = "every pair", "every source on nodes", "NUFFT", "dark"
+"""Ways of doing a sum."""
+
+ASKED, FASTEST, ONLY, LAST_RESORT = "as asked", "predicted fastest", "nothing else applies", "nothing cheaper"
+"""Why one of them was taken."""
+
+
+@dataclass(frozen=True)
+class How:
+    """How a sum was done, and why so.
+
+    kind: which way; points: of the target; pairs: of source and point; nodes: (along u, along v) where the field is
+    interpolated from nodes; ranks: smallest and largest of the expansions of ``parts`` parts of the spot; why: see
+    ``ASKED`` and so on; slower: kinds that were predicted to take longer; missed: kinds that were tried before, each with
+    the error it had; tolerance: what had to be kept; predicted_seconds: None where nobody asked.
+    """
+
+    kind: str
+    points: int
+    pairs: float = 0.0
+    nodes: tuple[int, int] | None = None
+    ranks: tuple[int, int] | None = None
+    parts: int = 1
+    why: str = ASKED
+    slower: tuple[str, ...] = ()
+    missed: tuple[tuple[str, float], ...] = ()
+    tolerance: float | None = None
+    predicted_seconds: float | None = None
+
+    def __str__(self) -> str:
+        """In words, one line."""
+        if self.kind == DARK:
+            return "dark: no source has any weight"
+        missed = "".join(f"; {kind} missed the tolerance with {error:.1e}" for kind, error in self.missed)
+        why = {
+            FASTEST: f"predicted faster than {' and '.join(self.slower)}",
+            LAST_RESORT: f"nothing cheaper keeps {self.tolerance or 0:.0e}",
+        }.get(self.why, self.why)
+        return f"{self._what} ({why}{missed})"
+
+    @property
+    def _what(self) -> str:
+        places = f"{self.nodes[0]} x {self.nodes[1]} nodes of {self.points} points" if self.nodes else "all points"
+        if self.kind == EVERY_PAIR:
+            return f"every one of {self.pairs:.3g} pairs"
+        if self.kind == ON_NODES:
+            return f"every source on {places}"
+        rank = f"NUFFT of rank {self.ranks[0]}"
+        if self.parts > 1:
+            rank = f"NUFFTs of rank {self.ranks[0]} to {self.ranks[1]} of {self.parts} parts of the spot"
+        return f"{rank} on {places}"
+
+
 @dataclass(frozen=True)
 class SumResult:
     """Outcome of a coherent sum.
 
-    field: complex128 of the target's shape; plan: what was chosen and why, one line; numerical_error: relative L2 error
-    of the field, measured on a sample of points against the exact sum.
+    field: complex128 of the target's shape; how: what was chosen and why; numerical_error: relative L2 error of the
+    field, measured on a sample of points against the exact sum.
     """
 
     field: np.ndarray
-    plan: str
+    how: How
     numerical_error: float
+
+    @property
+    def plan(self) -> str:
+        """How the sum was done, in words."""
+        return str(self.how)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A way of doing the sum: its kind and what exactly, how long it should take [s], and how to do it."""
+    """A way of doing the sum: what it is, how long it should take [s], and how to do it."""
 
-    kind: str
-    name: str
+    how: How
     seconds: float
     field: Callable[[], np.ndarray]
 
@@ -101,30 +158,29 @@ def coherent_sum(
     sources, weights = _checked(sources, weights, target, wavelength, method, tolerance)
     lit = weights != 0
     if not lit.any():
-        return SumResult(np.zeros(_shape(target), dtype=np.complex128), "dark: no source has any weight", 0.0)
+        return SumResult(np.zeros(_shape(target), dtype=np.complex128), How(DARK, target.size), 0.0)
     if not lit.all():
         sources, weights = sources[lit], weights[lit]
     if method == "direct":
         tolerance = SINGLE_PRECISION if supports(path) else TIGHTEST
     task = Task(path, sources, weights, target, wavelength, tolerance).with_cheap_path()
     if method == "direct" and supports(path):
-        return task.result(task.every_pair(), "as asked")
+        return task.result(task.every_pair(), ASKED)
     return _first_that_holds(task, costs_of(active_variant()), with_pairs=method == "auto")
 
 
 def _first_that_holds(task: Task, costs: Costs, with_pairs: bool) -> SumResult:
     """The result of the cheapest candidate that keeps the tolerance; every pair is the last resort."""
-    missed = ""
+    missed: list[tuple[str, float]] = []
     for share in (1.0, 0.03):
         candidates = replace(task, tolerance=max(share * task.tolerance, 1e-9)).candidates(costs, with_pairs)
         for i, candidate in enumerate(candidates):
-            slower = " and ".join(other.kind for other in candidates[i + 1 :])
-            why = f"predicted faster than {slower}" if slower else "nothing else applies"
-            result = task.result(candidate, why + missed)
+            slower = tuple(other.how.kind for other in candidates[i + 1 :])
+            result = task.result(candidate, FASTEST if slower else ONLY, slower, missed)
             if result.numerical_error <= ACCEPTED_SHARE * task.tolerance:
                 return result
-            missed += f"; {candidate.kind} missed the tolerance with {result.numerical_error:.1e}"
-    return task.result(task.every_pair(), f"nothing cheaper keeps {task.tolerance:.0e}{missed}")
+            missed.append((candidate.how.kind, result.numerical_error))
+    return task.result(task.every_pair(), LAST_RESORT, (), missed)
 
 
 @dataclass(frozen=True)
@@ -180,8 +236,8 @@ class Task:
                 found.append(replace(self.every_pair(), seconds=all_pairs))
             if few_nodes:
                 seconds = slow_down * count * self.nodes.size * costs.point_pair + interpolation
-                name = f"every source on {self._node_text}"
-                found.append(Candidate("every source on nodes", name, seconds, lambda: self._on_nodes(self._exact)))
+                how = How(ON_NODES, self.target.size, nodes=self.nodes.count)
+                found.append(Candidate(how, seconds, lambda: self._on_nodes(self._exact)))
         best = min([all_pairs, *(candidate.seconds for candidate in found)])
         least = EXPANSION_SECONDS + 2 * count * costs.nufft_point
         if best > least:
@@ -208,17 +264,11 @@ class Task:
             for part in parts
         )
         ranks = [part.expansion.rank for part in parts]
-        name = f"NUFFT of rank {ranks[0]}"
-        if len(parts) > 1:
-            name = f"NUFFTs of rank {min(ranks)} to {max(ranks)} of {len(parts)} parts of the spot"
+        how = How(NUFFT, self.target.size, ranks=(min(ranks), max(ranks)), parts=len(parts))
         if few_nodes:
-            seconds += interpolation
-            return Candidate("NUFFT", f"{name} on {self._node_text}", seconds, lambda: self._on_nodes(low_rank))
-        return Candidate("NUFFT", f"{name} on all points", seconds, lambda: _in_parts(low_rank, self.target))
-
-    @property
-    def _node_text(self) -> str:
-        return f"{self.nodes.count[0]} x {self.nodes.count[1]} nodes of {self.target.size} points"
+            how, seconds = replace(how, nodes=self.nodes.count), seconds + interpolation
+            return Candidate(how, seconds, lambda: self._on_nodes(low_rank))
+        return Candidate(how, seconds, lambda: _in_parts(low_rank, self.target))
 
     def _exact(self, places: PlanePoints) -> np.ndarray:
         return direct_sum(self.path, self.sources, self.weights, places, self.wavelength, self.tolerance)
@@ -236,13 +286,19 @@ class Task:
                 return direct_sum(self.path, self.sources, self.weights, self.target, self.wavelength, self.tolerance)
             return self._reference(self.target).reshape(_shape(self.target))
 
-        name = f"every one of {len(self.sources) * self.target.size:.3g} pairs"
-        return Candidate("every pair", name, np.inf, field)
+        pairs = float(len(self.sources) * self.target.size)
+        return Candidate(How(EVERY_PAIR, self.target.size, pairs), np.inf, field)
 
     def _reference(self, places: PlaneGrid | PlanePoints) -> np.ndarray:
         return reference_sum(self.path, self.sources, self.weights, places.points(), self.wavelength)
 
-    def result(self, candidate: Candidate, why: str) -> SumResult:
+    def result(
+        self,
+        candidate: Candidate,
+        why: str,
+        slower: tuple[str, ...] = (),
+        missed: Sequence[tuple[str, float]] = (),
+    ) -> SumResult:
         """Does the sum and measures its relative L2 error on sampled points, against the exact float64 sum."""
         with np.errstate(divide="ignore", invalid="ignore"):  # told below
             field = candidate.field()
@@ -259,7 +315,10 @@ class Task:
         # The scale is the whole field's: a few points of a speckle pattern do not know it.
         scale = sample.mean_square or float(np.mean(np.abs(exact) ** 2)) or 1.0
         error = np.sqrt(np.mean(np.abs(flat[sample.index] - exact) ** 2 / sample.share) / scale)
-        return SumResult(field, f"{candidate.name} ({why})", float(np.hypot(error, self.path_error)))
+        seconds = candidate.seconds if np.isfinite(candidate.seconds) else None
+        how = replace(candidate.how, why=why, slower=slower, missed=tuple(missed), tolerance=self.tolerance,
+                      predicted_seconds=seconds)  # fmt: skip
+        return SumResult(field, how, float(np.hypot(error, self.path_error)))
 
 
 def _in_parts(evaluate: Callable[[PlanePoints], np.ndarray], target: PlaneGrid | PlanePoints) -> np.ndarray:

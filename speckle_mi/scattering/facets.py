@@ -6,6 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry.frames import Frame
+
+PARALLEL = 1e-9
+"""Cosine to a facet's normal below which a ray runs along the facet."""
+
+ON_EDGE = 1e-9
+"""Distance beyond a facet's edge, relative to the surface's size, up to which a ray still meets it."""
+
 
 @dataclass(frozen=True)
 class Facets:
@@ -63,3 +71,27 @@ class Facets:
         lower, upper = plane.min(axis=1), plane.max(axis=1)
         bounds = np.stack([lower[:, 0], upper[:, 0], lower[:, 1], upper[:, 1]], axis=1)
         return cls(p0, e1, e2, normal, bounds, np.concatenate([edges, never], axis=1), area=length[keep] / 2)
+
+    def first_met(
+        self, frame: Frame, origin: np.ndarray, direction: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        """Where a ray first meets the surface with its frame at ``frame``: point [mm] and unit normal (3,), world.
+
+        origin: (3,) [mm]; direction: (3,) of unit length. None where it meets no facet.
+        """
+        start, axis = frame.to_local(origin[None])[0], frame.axes.T @ direction
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = self.normal @ axis
+            distance = np.einsum("fk,fk->f", self.normal, self.origin - start) / slope
+        distance[np.abs(slope) < PARALLEL] = np.nan
+        hit = start + distance[:, None] * axis - self.origin
+        a, b = (np.einsum("fk,fk->f", hit, basis) for basis in (self.e1, self.e2))
+        slack = ON_EDGE * np.max(np.abs(self.bounds))
+        # Edge normals of triangles are not of unit length, which only makes the slack finer or coarser.
+        inside = np.all(self.edges[..., 0] * a[:, None] + self.edges[..., 1] * b[:, None]
+                        <= self.edges[..., 2] + slack, axis=1)  # fmt: skip
+        inside &= distance > 0
+        if not np.any(inside):
+            return None
+        first = int(np.nanargmin(np.where(inside, distance, np.inf)))
+        return frame.to_world((start + distance[first] * axis)[None])[0], frame.axes @ self.normal[first]

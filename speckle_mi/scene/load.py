@@ -25,7 +25,7 @@ def load_scene(path: str | os.PathLike, variant: str | None = None, **defaults: 
     import mitsuba as mi
 
     from ..machine.backend import DEFAULT_VARIANT, is_usable, set_variant
-    from .assembly import assembly_from_scene
+    from .read import assembly_from_scene
 
     if variant is None:
         variant = mi.variant() if is_usable(mi.variant() or "") else DEFAULT_VARIANT

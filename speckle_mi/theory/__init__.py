@@ -45,5 +45,6 @@ __all__ = [
     "shift_scatter",
     "speckle_shape_gaussian_beam",
     "speckle_size_gaussian_beam",
+    "spot_displacement",
     "system_matrix",
 ]

@@ -186,7 +186,7 @@ class Bench:
         """Ours with more scatterers (whole frames), with four times the pixels, and against the expansion's rank."""
         from ...propagation.coherent_sum import coherent_sum
         from ...propagation.paths import FreeSpace
-        from ...field.simulate import simulate_frame
+        from ...field.simulation import simulate_frame
 
         frames = {}
         for count in counts:
@@ -240,7 +240,7 @@ class Bench:
         from ...images.exr import write_field
         from ...propagation.paths import FreeSpace
         from ...propagation.direct import direct_sum
-        from ...field.simulate import simulate
+        from ...field.simulation import simulate
         from ...scattering.rough_surface import illuminated_scatterers
 
         found: dict[str, dict] = {}

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ...field.lobe import lobe_towards
-from ...field.simulate import simulate_frame
+from ...field.lobe import Lobe, facets_of
+from ...field.simulation import simulate_frame
 from ...geometry.plane import PlaneGrid
 from ...geometry.pose import Pose
 from ...propagation.paths import FreeSpace
@@ -59,7 +59,7 @@ def with_point_sources(assembly, count: int):
     keeps them.
     """
     target = assembly.target
-    density = target.surface.density * count / target.shape.point_sources
+    density = target.surface.density * count / target.point_sources
     return replace(assembly, target=replace(target, surface=replace(target.surface, density=density)))
 
 
@@ -143,10 +143,7 @@ def exact_sample(assembly, tolerance: float) -> Sample:
     first = min(step, *assembly.detector.shape) // 2
     grid = every_pixel(assembly.detector, first, step)
     if lit is not None:
-        points = grid.points()
-        field = reference_sum(FreeSpace(), lit.position, lit.amplitude, points, assembly.beam.wavelength)
-        if assembly.target.lobe:
-            field = field * lobe_towards(assembly, assembly.target.frame, points - assembly.target.spot)
+        field = _summed_in_numpy(assembly, lit, grid.points())
         origin, scatterers = "float64 sum in NumPy", lit.count
     else:
         frame = simulate_frame(
@@ -155,6 +152,21 @@ def exact_sample(assembly, tolerance: float) -> Sample:
         field, scatterers = frame.image.field, frame.scatterers.count
         origin = f"sum on the sampled pixels to {tolerance:.0e}, its own error {frame.numerical_error:.0e}"
     return Sample(first, step, field.reshape(grid.shape), scatterers, origin, time.perf_counter() - begin, tolerance)
+
+
+def _summed_in_numpy(assembly, lit, places: np.ndarray) -> np.ndarray:
+    """Field (m,) of scatterers at places (m, 3) in free space, every facet's lobe as the BSDF has it."""
+    wavelength = assembly.beam.wavelength
+    if assembly.target.lobe is None:
+        return reference_sum(FreeSpace(), lit.position, lit.amplitude, places, wavelength)
+    lobe, field = Lobe(assembly.target.lobe, assembly.target.where), np.zeros(len(places), dtype=np.complex128)
+    normals, points, facet = facets_of(lit, assembly.spot.point)
+    for number in range(len(normals)):
+        one, mine = slice(number, number + 1), facet == number
+        shape = assembly.beam, assembly.target.frame.axes, normals[one], points[one]
+        radiated = lobe.amplitude(*shape, places[None] - points[one, None])[0]
+        field += radiated * reference_sum(FreeSpace(), lit.position[mine], lit.amplitude[mine], places, wavelength)
+    return field
 
 
 def sampled_pixels(scatterers: float) -> float:

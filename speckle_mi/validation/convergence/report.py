@@ -9,6 +9,7 @@ from dataclasses import asdict, fields
 import numpy as np
 
 from ...machine.files import replacing, write_json
+from ...report.terminal import print_machine, print_table, terminal
 from .frame import DOES_NOT_APPLY, LEFT_OUT, MEASURED, Row
 from .scatter import Scatter
 from .study import Study
@@ -38,33 +39,20 @@ def write_study(
 
 
 def print_report(study: Study, rows: list[Row], scatter: list[Scatter], system: dict[str, str]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=None if os.isatty(1) else 150, highlight=False)
+    """Prints the table of what was measured, what was left out, the scatter over surfaces, and the machine."""
+    console = terminal()
     for line in study.plan_lines:
-        console.print(f"plan: {line}", markup=False)
-    table = Table(
-        title=f"{study.name}: errors of field, phase and shift; warm and first run times; peak memory",
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-    )
+        console.print(f"plan: {line}")
     heads = ("N1", "method", "tol. or N2", "field", "phase (waves)", "shift (um)", "- theory", "frame (ms)",
              "quartiles", "runs", "first", "MB")  # fmt: skip
-    for number, head in enumerate(heads):
-        table.add_column(head, justify="left" if number in (1, 2) else "right", no_wrap=True)
-    shown = [row for row in rows if row.status == MEASURED]
-    for number, row in enumerate(shown):
-        ends = number + 1 == len(shown) or shown[number + 1].point_sources != row.point_sources
-        table.add_row(*_cells(row), end_section=ends)
-    console.print(table)
+    title = f"{study.name}: errors of field, phase and shift; warm and first run times; peak memory"
+    shown = [_cells(row) for row in rows if row.status == MEASURED]
+    print_table(console, heads, shown, title=title, left=(1, 2), group_by=0)
     for words in _notes(rows):
-        console.print(words, markup=False)
+        console.print(words)
     _print_exact(console, study)
     _print_scatter(console, scatter, study)
-    names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "LLVM")
-    console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
+    print_machine(console, system)
 
 
 def _cells(row: Row) -> list[str]:
@@ -101,40 +89,31 @@ def _notes(rows: list[Row]) -> list[str]:
 
 def _print_exact(console, study: Study) -> None:
     held = [f"N1 = {n:,}: {s.field.size} pixels, {s.origin}" for n, s in study.samples.items() if s is not None]
-    console.print("errors of field and phase against: " + "; ".join(held), markup=False)
+    console.print("errors of field and phase against: " + "; ".join(held))
     theory = "none" if study.theory_shift is None else "({:.3f}, {:.3f}) um".format(*study.theory_shift)
     moved = f"shift: target moved {1e3 * study.displacement:.3g} um along x, first-order theory {theory}"
     console.print(f'{moved}; errors against the most exact frames of each N1 ("exact"), and from theory, '
-                  "which one surface only scatters about", markup=False)  # fmt: skip
+                  "which one surface only scatters about")  # fmt: skip
 
 
 def _print_scatter(console, scatter: list[Scatter], study: Study) -> None:
-    from rich import box
-    from rich.table import Table
-
     if not scatter:
         return
-    table = Table(title="Scatter of the sensitivity over surfaces", box=box.SIMPLE_HEAD, title_justify="left")
-    for number, head in enumerate(("motion", "axis", "N1", "surfaces", "mean", "theory", "one surface ±", "mean ±")):
-        table.add_column(head, justify="left" if number < 2 else "right")
+    heads = ("motion", "axis", "N1", "surfaces", "mean", "theory", "one surface ±", "mean ±")
+    rows = []
     for e in scatter:
         theory = "-" if e.theory is None else f"{e.theory:+.4f}"
         values = (f"{e.mean:+.4f} {e.unit}", theory, f"{e.spread:.4f}", f"{e.error_of_mean:.4f}")
-        table.add_row(
-            e.dof,
-            e.axis,
-            f"{e.point_sources:,}",
-            str(len(e.slopes)),
-            *(values if e.slopes else ("not measured", theory)),
-        )
-    console.print(table)
+        found = values if e.slopes else ("not measured", theory)
+        rows.append([e.dof, e.axis, f"{e.point_sources:,}", str(len(e.slopes)), *found])
+    print_table(console, heads, rows, title="Scatter of the sensitivity over surfaces", left=(0, 1))
     off = [e for e in scatter if e.off_theory is not None]
     for e in off:
         times = abs(e.off_theory) / e.error_of_mean
         words = f"off theory by {e.off_theory:+.2g} {e.unit}, {times:.1f} standard errors, more than chance explains"
-        console.print(f"{e.dof}, N1 = {e.point_sources:,}: {words}", markup=False)
+        console.print(f"{e.dof}, N1 = {e.point_sources:,}: {words}")
     for sentence in study.why_off_theory(off):
-        console.print(sentence, markup=False)
+        console.print(sentence)
 
 
 def _sig(value: float | None) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from ...field.simulate import simulate
+from ...field.simulation import simulate
 from ...geometry.pose import Pose
 from ...measurement.correlator import Correlator
 from .frame import Setting

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...experiments.expectation import expected_sensitivity
-from ...field.simulate import plan_of, simulate_frame
+from ...field.simulation import plan_of, simulate_frame
 from ...geometry.pose import Pose
 from ...machine.run_times import Timing, duration
 from ...measurement.correlator import Correlator

@@ -25,7 +25,7 @@ def wavefronts(quick: bool):
         (0.1, -0.1, 750.0, 1e15, np.inf) if quick else (0.1, -0.1, 1.0, -1.0, 750.0, -750.0, 1e6, -1e9, 1e15, np.inf)
     ):
         assembly = Bench(laser={"wavefront_radius": radius}).assembly()
-        points = assembly.target.spot + random.uniform(-0.3, 0.3, (2000, 3))
+        points = assembly.spot.point + random.uniform(-0.3, 0.3, (2000, 3))
         # Paths of up to 1e5 wavelengths hold 1e-11 of a turn in double precision.
         name = f"laser's field, wavefront radius {radius:g} mm"
         yield same_field("wavefront", name, assembly.beam.field(points), exact_laser(assembly.beam, points), 1e-9)
@@ -42,7 +42,7 @@ def focus_on_the_target(quick: bool):
     yield same_field("focus on the target", "field of a waist of one wavelength", *against_exact_sum(bench), TOLERANCE)
     for radius in (1e-6, -1e-6):
         assembly = Bench(laser={"wavefront_radius": radius, "beam_radius": 0.02}).assembly()
-        points = np.array([assembly.target.spot, assembly.target.spot - radius * assembly.beam.axis])
+        points = np.array([assembly.spot.point, assembly.spot.point - radius * assembly.beam.axis])
         modulus = np.abs(assembly.beam.field(points))
         yield within(
             "focus on the target",
@@ -56,7 +56,7 @@ def focus_on_the_target(quick: bool):
 
 def focus_on_the_detector(quick: bool):
     """A smooth target under a beam that converges on the detector: density pi w^2 / z there, spot lambda z / (pi w)."""
-    from ...field.simulate import simulate
+    from ...field.simulation import simulate
 
     z, w = 60.0, 0.12
     bench = Bench(

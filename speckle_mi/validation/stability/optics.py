@@ -26,7 +26,7 @@ _UNIFORM = {"beam_radius": np.inf, "wavefront_radius": np.inf}
 
 def _of_a_point(bench: Bench, point=(0.0, 0.0, 0.0)):
     """Assembly and frame of a single scatterer under uniform light, and the field over the scatterer's amplitude."""
-    from ...field.simulate import simulate_frame
+    from ...field.simulation import simulate_frame
 
     with point_scatterers([point]) as path:
         bench = bench.with_(laser_angle=0.0, laser=_UNIFORM, target={"points": path, "roughness": 0.0})

@@ -84,13 +84,13 @@ class Bench:
         """The assembly of the scene."""
         import mitsuba as mi
 
-        from ...scene.assembly import assembly_from_scene
+        from ...scene.read import assembly_from_scene
 
         return assembly_from_scene(mi.load_string(self.xml()))
 
     def frame(self, pose: Pose | None = None):
         """The simulated frame."""
-        from ...field.simulate import simulate_frame
+        from ...field.simulation import simulate_frame
 
         return simulate_frame(self.assembly(), pose)
 
@@ -208,7 +208,7 @@ def exact_laser(beam, points: np.ndarray) -> np.ndarray:
 
 def against_exact_sum(bench: Bench, pose: Pose | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Field and exact sum of the same scatterers on sampled pixels of a bench in free space, (n,) each."""
-    from ...field.simulate import simulate_frame
+    from ...field.simulation import simulate_frame
 
     assembly = bench.assembly()
     frame = simulate_frame(assembly, pose)

@@ -65,7 +65,7 @@ def specular_spot_of_a_smooth_surface(quick: bool):
         target={"roughness": 0.0, "point_sources": 50_000},
     )
     assembly = bench.assembly()
-    from ...field.simulate import simulate
+    from ...field.simulation import simulate
 
     k, w, z = 2 * np.pi / WAVELENGTH, 0.12, 200.0
     turns = (z + assembly.beam.reference_path) / WAVELENGTH
@@ -80,7 +80,7 @@ def partially_developed_speckle(quick: bool):
     Sum a_j e^{i phi_j} with Gaussian phases: mean S1 M1, variances S2 (1 + M2 - 2 M1^2)/2 and S2 (1 - M2)/2 in
     phase and in quadrature, M1 = e^{-s^2/2}, M2 = e^{-2 s^2}, S1 = sum a, S2 = sum a^2; many terms make it Gaussian.
     """
-    from ...field.simulate import simulate_frame
+    from ...field.simulation import simulate_frame
 
     count = 150 if quick else 600
     for rms in (0.03, 0.1):
