@@ -163,6 +163,7 @@ def _identity(assembly, settings: SweepSettings) -> dict:
 def _claim(folder: Path, identity: dict, force: bool) -> None:
     """Makes the folder ready; InputError when it holds results of other settings and ``force`` is not given."""
     from .machine.files import refuse_other_settings, write_json
+    from .machine.fragments import remove_abandoned
 
     settings_file = folder / "settings.json"
     if settings_file.is_file():
@@ -174,6 +175,7 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
     elif folder.is_dir() and any(folder.iterdir()) and not force:
         raise InputError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
+    remove_abandoned(folder / "frames")
     if force:
         for stale in (
             *folder.glob("frames/*.exr"),

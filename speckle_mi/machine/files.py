@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import secrets
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from . import interrupt
+from .fragments import fragment_name, remove_abandoned
 
 from ..errors import InputError
 
@@ -22,12 +22,14 @@ from ..errors import InputError
 def require_output(path: str | os.PathLike, suffix: str = "") -> None:
     """Raises OSError when no file can be written at ``path``, InputError when it ends other than in ``suffix``.
 
-    Called before anything is computed for it.
+    Called before anything is computed for it; fragments in the folder whose writers are no more are removed.
     """
     require_place(path)
     if not str(path).lower().endswith(suffix):
         raise InputError(f"{path}: must be the name of a {suffix} file")
-    _require_writable(Path(os.path.realpath(path)).parent)
+    folder = Path(os.path.realpath(path)).parent
+    _require_writable(folder)
+    remove_abandoned(folder)
 
 
 def require_distinct(**paths: str | None) -> None:
@@ -39,7 +41,10 @@ def require_distinct(**paths: str | None) -> None:
 
 
 def require_folder(path: str | os.PathLike) -> Path:
-    """The folder for results, still to be made or there; OSError, InputError where it cannot be or be written to."""
+    """The folder for results, still to be made or there; OSError, InputError where it cannot be or be written to.
+
+    Fragments in it whose writers are no more are removed.
+    """
     if not os.fspath(path):
         raise InputError("--out '': must be the name of a folder")
     folder = Path(path)
@@ -49,6 +54,7 @@ def require_folder(path: str | os.PathLike) -> Path:
     if not there.is_dir():
         raise NotADirectoryError(f"{folder}: lies below {str(there)!r}, which is no folder")
     _require_writable(there)
+    remove_abandoned(folder)
     return folder
 
 
@@ -97,7 +103,7 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     require_place(path)
     path = Path(os.path.realpath(path))  # a link stays, and what it points to is replaced
     # The user's mask applies, as to any other file: results may be read by whom the user lets.
-    temporary = path.parent / f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}"
+    temporary = path.parent / fragment_name(path.stem, path.suffix)
     try:
         with interrupt.begins_file:
             interrupt.fragments.add(str(temporary))
