@@ -105,9 +105,12 @@ def _number(text: str) -> float:
 def parser(name: str, description: str) -> argparse.ArgumentParser:
     """Parser for ``python -m speckle_mi.<name>`` with the flags that every command knows.
 
-    Its ``parse_args`` raises InputError.
+    Its ``parse_args`` raises InputError. Lines of the description stay as they are.
     """
-    made = _Parser(prog=f"python -m speckle_mi.{name}", description=description, allow_abbrev=False)
+    made = _Parser(
+        prog=f"python -m speckle_mi.{name}".removesuffix("."), description=description, allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
     made.add_argument("--quiet", action="store_true", help="print errors only")
     made.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return made
