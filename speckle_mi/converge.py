@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import add_force, command, say, scene_parser
+from .errors import InputError
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
 MAX_POINT_SOURCES = 10**15
@@ -96,7 +97,7 @@ def _settings(options) -> dict:
     settings = dict(QUICK if options.quick else FULL)
     if options.seconds is not None:
         if not (math.isfinite(options.seconds) and options.seconds > 0):
-            raise ValueError(f"--seconds {options.seconds:g}: must be a finite number above 0")
+            raise InputError(f"--seconds {options.seconds:g}: must be a finite number above 0")
         settings["seconds"] = options.seconds
     if options.point_sources is not None:
         try:
@@ -104,7 +105,7 @@ def _settings(options) -> dict:
         except ValueError:
             values = [math.nan]
         if not all(1 <= value <= MAX_POINT_SOURCES and value == int(value) for value in values):
-            raise ValueError(
+            raise InputError(
                 f"--point-sources {options.point_sources!r}: must be whole numbers with commas between, "
                 f"each 1 to {MAX_POINT_SOURCES:g}"
             )

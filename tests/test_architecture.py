@@ -24,7 +24,7 @@ LEVELS = (
     {"command_line"},
 )
 """Rooms in the order in which data flows; a room imports from those of earlier levels and from itself."""
-COMMANDS = {"render", "sweep", "correlate", "converge", "stability", "benchmark", "sysinfo"}
+COMMANDS = {"render", "sweep", "correlate", "converge", "stability", "benchmark", "sysinfo", "scenes", "__main__"}
 THIN = 230  # Lines of a plugin: documentation, parameters and registration, no physics.
 LONGEST = 400  # Lines of a file that can still be seen whole.
 

@@ -9,6 +9,7 @@ from numpy.polynomial.chebyshev import chebvander
 from scipy.linalg import eigh
 from scipy.ndimage import binary_dilation
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid
 from ..machine.memory import excess
 from ..optics.sequence import Sequence
@@ -106,7 +107,7 @@ class Fit:
         keep = _euclidean_degree(arrivals.lines, count)
         # The basis and its orthonormal combinations; half as much again for the products on the way.
         if too_much := excess(3 * 8 * count * np.count_nonzero(keep)):
-            raise ValueError(f"method 'rays': the {count} rays of one source {too_much}: take fewer rays_per_source")
+            raise InputError(f"method 'rays': the {count} rays of one source {too_much}: take fewer rays_per_source")
         x, y = (chebvander(t, n - 1) for t, n in zip(_scaled(place.T, box).T, keep.shape, strict=True))
         basis = (x[:, :, None] * y[:, None, :])[:, keep]
         # By the small Gram matrix, refined once: far cheaper than QR. Where rays fill only part of the box the basis is

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.frames import Frame
 from ..geometry.plane import PlaneGrid
 from ..machine.progress import tell
@@ -133,7 +134,7 @@ def _check_no_caustic(arrivals: SourceRays, wavelength: float) -> bool:
     elif reach < 100.0 * wavelength:
         reason = f"a focal line lies {1e3 * reach:.3g} um from the detector"
     if reason:
-        raise ValueError(
+        raise InputError(
             f"method 'rays' does not apply: the detector meets a caustic ({reason}). Rays have no field there; "
             "use method 'auto' with diffraction, which is right in and out of focus, or move the detector out of focus"
         )

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..machine.cores import products_on_one_thread
 from .area import Area, points_at
@@ -323,7 +324,7 @@ class Task:
         flat = field.reshape(-1)
         sample = Sample.of(flat, int(np.clip(SAMPLED_PAIRS // len(self.sources), *SAMPLED_POINTS)))
         if not np.isfinite(sample.mean_square):
-            raise ValueError("a source lies on a point of the target: the field is infinite there, move one of the two")
+            raise InputError("a source lies on a point of the target: the field is infinite there, move one of the two")
         places = points_at(self.target, sample.index)
         if supports(self.path) and places.size * len(self.sources) > KERNEL_PAIRS:
             # In float64 throughout: the float32 angles of the sum that is judged must not judge themselves.

@@ -23,6 +23,7 @@ import numpy as np
 from scipy import fft
 from scipy.special import jv, roots_legendre, spherical_jn
 
+from ..errors import InputError
 from ..geometry.frames import Frame
 from ..geometry.outline import Circle, Rectangle
 from ..geometry.plane import PlanePoints
@@ -221,7 +222,7 @@ def _check(tolerance: float) -> None:
 
 def _check_count(along: int, nodes: float) -> None:
     if nodes > MOST_NODES or along > MOST_ALONG:
-        raise ValueError(
+        raise InputError(
             f"the opening needs {nodes:.3g} nodes, {along} along a line, must need at most {MOST_NODES:.3g} and "
             f"{MOST_ALONG}: it is too large, or its light too steep, for a diffraction integral"
         )

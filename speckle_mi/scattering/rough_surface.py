@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import drjit as dr
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.frames import Frame
 from ..machine.backend import arrays, opaque, opaque_vector
 from . import hashing
@@ -132,7 +133,7 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     count = np.prod(size, axis=1)
     total = float(np.sum(count))
     if total > MAX_CELLS:
-        raise ValueError(
+        raise InputError(
             f"the target's scatterers: about {total:.2g} lie under the beam or on the patch "
             f"(some {total * 50 / 1e9:.3g} GB), must be at most {MAX_CELLS:.0e}: reduce point_sources or the lit area"
         )

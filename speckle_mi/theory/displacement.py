@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.rotation import cross_matrix, vectors_across
 from .directions import (
     GRAZING_COSINE,
@@ -85,7 +86,7 @@ def _plane_displacement(spot, origin, axes, source_direction, wavefront_radius, 
     plane_normal = np.cross(plane[:, 0], plane[:, 1])
     for name, cosine in (("target", sight @ normal), ("detector", sight @ plane_normal)):
         if abs(cosine) < GRAZING_COSINE:
-            raise ValueError(
+            raise InputError(
                 f"grazing detection: the line of sight {text(sight)} lies in the {name} plane (cosine to its normal "
                 f"{cosine:.1e}), must be inclined to it"
             )
@@ -184,12 +185,12 @@ def centre_of_gravity_aperture(
     ray = centre - np.asarray(spot, dtype=np.float64)
     depth = facing @ ray
     if abs(depth) <= GRAZING_COSINE * np.linalg.norm(ray):
-        raise ValueError(
+        raise InputError(
             f"aperture_centre {text(centre)}: the line to it from the spot {text(spot)} must cross the detector plane"
         )
     reach = facing @ (np.asarray(detector_centre, dtype=np.float64) - centre) / depth
     if reach <= 0:
-        raise ValueError(f"aperture_centre {text(centre)}: must lie between the spot and the detector plane")
+        raise InputError(f"aperture_centre {text(centre)}: must lie between the spot and the detector plane")
     return -reach * plane.T @ (np.eye(3) - np.outer(ray, facing) / depth) @ slide
 
 

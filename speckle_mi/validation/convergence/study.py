@@ -8,6 +8,8 @@ from functools import partial
 
 import numpy as np
 
+from ...errors import InputError
+
 from .allowance import SHARE_OF_STEP, Allowance
 from .exact import ExactField, exact_fields
 from .frame import DOES_NOT_APPLY, PAPER_RAYS, Row, Setting
@@ -83,7 +85,7 @@ def rows_of_method(
             if predictor.method == "rays" and not predictor.knows(number):
                 try:
                     predictor.assume(number, count, seconds_of_rays(subject, setting, exact[count]))
-                except ValueError as error:
+                except InputError as error:
                     return [*rows, does_not_apply(blank_row(subject, setting, exact[count]), error)]
             seconds = predictor.seconds(number, count)
             row = row_of(subject, setting, exact[count], seconds, lambda: allowance.step_left)
