@@ -145,28 +145,33 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
 def _footprint(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
     """Centre (f, 2) and half-widths (f, 2) [mm] of the beam's elliptic footprint in each facet's coordinates.
 
-    A point c + a e1 + b e2 lies within the radius R of the axis where (a, b) M (a, b)^T <= R^2 with
-    M = E^T (1 - b b^T) E; its bounding box has the half-widths R sqrt(diag(M^-1)). Where the beam grazes
-    the facet they are infinite.
+    A point p, counted from the reference point and s = p.b along the axis b, lies in the beam where
+    p^2 - s^2 <= R^2 |1 + s/q_0|^2, R the cutoff and q_0 the beam's complex parameter. On the plane c + a e1 + b e2 that
+    is (x - x_c)^T M (x - x_c) <= level with x = (a, b) and M = E^T (1 - (1 + R^2/|q_0|^2) b b^T) E; its bounding box
+    has the half-widths sqrt(level diag(M^-1)). Where M is not positive definite, as the beam grazes the facet or opens
+    along it, they are infinite.
     """
     axis = frame.axes.T @ beam.axis
-    reference = frame.to_local(beam.reference[None])[0]
+    offset = facets.origin - frame.to_local(beam.reference[None])[0]
     basis = np.stack([facets.e1, facets.e2], axis=-1)  # (f, 3, 2)
-    along = np.einsum("k,fkc->fc", axis, basis)
-    metric = np.eye(2) - along[:, :, None] * along[:, None, :]
-    # The nearest approach of the axis to the facet's plane, by least squares:
-    # M s = E^T (1 - b b^T) (reference - origin).
-    offset = reference - facets.origin
-    offset = offset - (offset @ axis)[:, None] * axis
-    right = np.einsum("fk,fkc->fc", offset, basis)
+    along, start = np.einsum("k,fkc->fc", axis, basis), offset @ axis
+    cutoff, parameter = beam.cutoff, beam.inverse_parameter
+    opening = (cutoff * abs(parameter)) ** 2
+    metric = np.eye(2) - (1 + opening) * along[:, :, None] * along[:, None, :]
+    # Half the gradient of p^2 - s^2 - R^2 |1 + s/q_0|^2 at x = 0, and its value there.
+    slope = (1 + opening) * start + cutoff**2 * parameter.real
+    right = np.einsum("fk,fkc->fc", offset, basis) - slope[:, None] * along
+    across = np.sum((offset - start[:, None] * axis) ** 2, axis=1)
+    value = across - cutoff**2 * np.abs(1 + start * parameter) ** 2
     determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = np.stack([metric[:, 1, 1], metric[:, 0, 0]], axis=1) / determinant[:, None]
         crossed = -metric[:, 0, 1] / determinant
-        centre = inverse * right + crossed[:, None] * right[:, ::-1]
-        half = beam.cutoff * np.sqrt(inverse)
-    grazing = determinant < 1e-12
-    return np.where(grazing[:, None], 0.0, centre), np.where(grazing[:, None], np.inf, half)
+        centre = -(inverse * right + crossed[:, None] * right[:, ::-1])
+        level = -value - np.einsum("fc,fc->f", right, centre)
+        half = np.sqrt(np.maximum(level, 0.0)[:, None] * inverse)
+    endless = (determinant < 1e-12)[:, None]
+    return np.where(endless, 0.0, centre), np.where(endless, np.inf, half)
 
 
 class SurfaceScatterers:
@@ -303,7 +308,7 @@ class PlacedScatterers:
         to_source, real, imaginary = kernel.evaluate(position)
         lit = material.inside & (dr.dot(to_source, normal) > 0)
         if np.isfinite(beam.radius):
-            lit &= kernel.across_squared(mean) <= kernel.cutoff * kernel.cutoff
+            lit &= kernel.within(mean)
         # Everything is computed for all cells at once in one kernel; then those under the beam are picked.
         amplitude = lanes.Array2f64(real, imaginary)
         curved = facets.count > 1
