@@ -2,12 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from exact_optics import BLACK, MIRROR, element_xml, facing, fermat, lens_surfaces, thin_lens_start, tilted
-from scene_builder import WORLD, detector_xml, direction, frame_along, free_space, integrator_xml, laser_xml, scene_of
-from scene_builder import target_xml
+from scene_builder import (
+    WORLD,
+    detector_frame,
+    detector_xml,
+    direction,
+    frame_along,
+    free_space,
+    integrator_xml,
+    laser_xml,
+    scene_of,
+    target_xml,
+)
 from scipy.optimize import minimize
+from test_surface_mesh import quad, shaft, write_mesh
 
 from speckle_mi.experiments.chief_ray import SEVERAL_WAYS, axes_as_seen
 from speckle_mi.experiments.expectation import expected_sensitivity
@@ -118,6 +131,78 @@ def test_the_users_points_move_their_pattern_from_where_they_are_and_not_from_th
     agrees_with_paths(
         assemble(text), points.mean(axis=0), lambda points, pixel: np.linalg.norm(points - pixel, axis=1)
     )
+
+
+# Coarse meshes
+
+COARSE = 1e-3  # Relative to the largest entry; the facet under the axis alone is off by 1 % and more.
+
+
+def turned_shaft(sides, radius, turn):
+    """A cylinder along y below the plane z = 0, turned by a share of a facet from where an edge lies on top."""
+    axis = np.array([0.0, 0.0, -radius])
+    return (shaft(radius, 4.0, sides) - axis) @ tilted(0.0, 360.0 / sides * turn, 0.0).T + axis
+
+
+def roof(left, right):
+    """Two planes that meet along y, falling at angles [deg] to either side."""
+    a, b = (np.tan(np.radians(angle)) for angle in (left, right))
+    return np.array([
+        *quad([-2, -2, -2 * a], [0, -2, 0], [0, 2, 0], [-2, 2, -2 * a]), *quad([0, -2, 0], [2, -2, -2 * b], [2, 2, -2 * b], [0, 2, 0])
+    ])  # fmt: skip
+
+
+MESHES = {
+    "edge under the beam": (turned_shaft(60, 8.0, 0.0), 0.15),
+    "edge beside the axis": (turned_shaft(60, 5.0, 0.15), 0.3),
+    "many facets under the beam": (turned_shaft(720, 8.0, 0.0), 0.15),
+    "roof": (roof(4.0, 9.0), 0.2),
+}
+
+
+def displacement_of_least_variance(assembly, dof):
+    """Displacement per unit motion that leaves least variance of the path change, over places spread on the mesh.
+
+    The places count by the light's intensity: what is left of the change decorrelates the pattern.
+    """
+    beam, grid, frame = assembly.beam, assembly.detector, assembly.target.frame
+    even = replace(assembly.target.surface, roughness=0.0, density=20_000.0)
+    lit = even.scatterers(beam, frame).at(frame).lit_by(beam)
+    places, weight = frame.to_local(lit.position), np.abs(lit.amplitude) ** 2 / np.sum(np.abs(lit.amplitude) ** 2)
+    focus = beam.reference - beam.wavefront_radius * beam.axis
+
+    def path(pose, pixel):
+        moved = frame.moved(pose).to_world(places)
+        return np.sign(beam.wavefront_radius) * np.linalg.norm(moved - focus, axis=1) + np.linalg.norm(moved - pixel, axis=1)
+
+    def change(plus, minus, step):
+        value = (plus - minus) / (2 * step)
+        return value - weight @ value
+
+    h = 1e-3
+    by_pixel = np.array([change(path(Pose(), grid.centre + h * axis), path(Pose(), grid.centre - h * axis), h)
+                         for axis in (grid.u, grid.v)])  # fmt: skip
+    by_motion = change(path(Pose(**{dof: h}), grid.centre), path(Pose(**{dof: -h}), grid.centre), h)
+    return -np.linalg.solve((by_pixel * weight) @ by_pixel.T, (by_pixel * weight) @ by_motion)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_pattern_of_a_coarse_mesh_moves_with_all_of_its_facets_under_the_beam(assemble, tmp_path, name):
+    corners, radius = MESHES[name]
+    path = write_mesh(tmp_path / "mesh.obj", corners)
+    assembly = assemble(scene_of(
+        integrator_xml(),
+        laser_at(np.zeros(3), 25.0, beam_radius=radius, wavefront_radius=-200.0),
+        target_xml(filename=str(path)),
+        detector_xml(detector_frame(direction(10, 60), 60.0), width=8, height=8),
+    ))  # fmt: skip
+    expected = expected_sensitivity(assembly)
+    matrix = np.stack([expected["u"], expected["v"]])
+    moved = np.stack([displacement_of_least_variance(assembly, dof) for dof in DEGREES_OF_FREEDOM], axis=1)
+    for columns in (slice(0, 3), slice(3, 6)):
+        np.testing.assert_allclose(
+            matrix[:, columns], moved[:, columns], rtol=0, atol=COARSE * np.abs(moved[:, columns]).max()
+        )
 
 
 # The detector as the target sees it

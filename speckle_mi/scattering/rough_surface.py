@@ -18,6 +18,7 @@ from ..machine.backend import arrays, opaque, opaque_vector
 from . import hashing
 from .beam import Beam, BeamKernel
 from .facets import Facets
+from .footprint import footprint_bounds
 
 MAX_CELLS = 100_000_000
 """Most cells that one frame may look at (about 5 GB of memory at the peak)."""
@@ -124,7 +125,7 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     pitch = surface.density**-0.5
     lower, upper = facets.bounds[:, 0::2].copy(), facets.bounds[:, 1::2].copy()
     if np.isfinite(beam.radius):
-        centre, half = _footprint(facets, beam, frame)
+        centre, half = footprint_bounds(facets, beam, frame)
         lower, upper = np.fmax(lower, centre - half), np.fmin(upper, centre + half)
     meets = np.all(upper > lower, axis=1)
     first = np.floor(lower[meets] / pitch)
@@ -140,38 +141,6 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     return _Cells(
         np.flatnonzero(meets), first.astype(np.int64), size.astype(np.int64), start.astype(np.int64), int(total)
     )
-
-
-def _footprint(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """Centre (f, 2) and half-widths (f, 2) [mm] of the beam's elliptic footprint in each facet's coordinates.
-
-    A point p, counted from the reference point and s = p.b along the axis b, lies in the beam where
-    p^2 - s^2 <= R^2 |1 + s/q_0|^2, R the cutoff and q_0 the beam's complex parameter. On the plane c + a e1 + b e2 that
-    is (x - x_c)^T M (x - x_c) <= level with x = (a, b) and M = E^T (1 - (1 + R^2/|q_0|^2) b b^T) E; its bounding box
-    has the half-widths sqrt(level diag(M^-1)). Where M is not positive definite, as the beam grazes the facet or opens
-    along it, they are infinite.
-    """
-    axis = frame.axes.T @ beam.axis
-    offset = facets.origin - frame.to_local(beam.reference[None])[0]
-    basis = np.stack([facets.e1, facets.e2], axis=-1)  # (f, 3, 2)
-    along, start = np.einsum("k,fkc->fc", axis, basis), offset @ axis
-    cutoff, parameter = beam.cutoff, beam.inverse_parameter
-    opening = (cutoff * abs(parameter)) ** 2
-    metric = np.eye(2) - (1 + opening) * along[:, :, None] * along[:, None, :]
-    # Half the gradient of p^2 - s^2 - R^2 |1 + s/q_0|^2 at x = 0, and its value there.
-    slope = (1 + opening) * start + cutoff**2 * parameter.real
-    right = np.einsum("fk,fkc->fc", offset, basis) - slope[:, None] * along
-    across = np.sum((offset - start[:, None] * axis) ** 2, axis=1)
-    value = across - cutoff**2 * np.abs(1 + start * parameter) ** 2
-    determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = np.stack([metric[:, 1, 1], metric[:, 0, 0]], axis=1) / determinant[:, None]
-        crossed = -metric[:, 0, 1] / determinant
-        centre = -(inverse * right + crossed[:, None] * right[:, ::-1])
-        level = -value - np.einsum("fc,fc->f", right, centre)
-        half = np.sqrt(np.maximum(level, 0.0)[:, None] * inverse)
-    endless = (determinant < 1e-12)[:, None]
-    return np.where(endless, 0.0, centre), np.where(endless, np.inf, half)
 
 
 class SurfaceScatterers:
