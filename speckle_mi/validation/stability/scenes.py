@@ -147,18 +147,18 @@ def exact_laser(beam, points: np.ndarray) -> np.ndarray:
     axis = beam.axis.astype(wide)
     axis /= np.sqrt(axis @ axis)
     along = from_reference @ axis
-    if np.abs(beam.wavefront_radius) > 1e6:
-        # A parabola: the next term of the expansion is below a millionth of a millionth of a millimetre.
-        path = along + (np.sum(np.square(from_reference), axis=1) - along**2) / (2 * wide(beam.wavefront_radius))
-    else:
-        radius = wide(beam.wavefront_radius)
-        centre = beam.reference.astype(wide) - radius * axis
-        distance = np.sqrt(np.sum(np.square(points.astype(wide) - centre), axis=1))
-        path = np.sign(radius) * (distance - np.abs(radius))
+    squared = np.sum(np.square(from_reference - along[:, None] * axis), axis=1)
+    spread = 0 if np.isinf(beam.radius) else wide(beam.wavelength) / (wide(np.pi) * wide(beam.radius) ** 2)
+    step = 1 + along * (1 / wide(beam.wavefront_radius) + 1j * spread)  # q / q_0
+    inverse = (1 / wide(beam.wavefront_radius) + 1j * spread) / step
+    curvature = inverse.real
+    # Less the path along the axis: R - sqrt(R^2 + r^2) without its cancellation.
+    path = along + curvature * squared / (1 + np.sqrt(1 + curvature**2 * squared))
     turns = (path + wide(beam.reference_path)) / wide(beam.wavelength)
-    across = np.sum(np.square(from_reference), axis=1) - along**2
-    amplitude = 1.0 if np.isinf(beam.radius) else np.exp(-(across / wide(beam.radius) ** 2).astype(np.float64))
-    return amplitude * np.exp(2j * np.pi * (turns - np.round(turns)).astype(np.float64))
+    phase = np.exp(2j * np.pi * (turns - np.round(turns)).astype(np.float64))
+    if np.isinf(beam.radius):
+        return np.where(step.real < 0, -1, 1) * phase
+    return (np.exp(-squared * (wide(np.pi) / wide(beam.wavelength)) * inverse.imag) / step).astype(complex) * phase
 
 
 def against_exact_sum(bench: Bench, pose: Pose | None = None) -> tuple[np.ndarray, np.ndarray]:
