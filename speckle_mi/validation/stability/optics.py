@@ -65,7 +65,7 @@ def fresnel_numbers(quick: bool):
 def _beside_the_axis(number: float) -> Check:
     """The field on pixels beside the axis, on which all of a round edge's waves would meet.
 
-    Beyond a Fresnel number of some hundred the edge's waves are left out: the frame's error states how large they are at most.
+    Beyond a Fresnel number of some hundred the edge's waves are left out: the frame's error says how large they are.
     """
     radius = float(np.sqrt(number * WAVELENGTH * 15.0))
     wide = {"width": 9, "height": 1, "pixel_pitch": 0.11}
