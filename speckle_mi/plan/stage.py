@@ -54,7 +54,7 @@ class Stage:
     def to_json(self) -> dict:
         """What there is to say, as JSON can hold it."""
         content = asdict(self) | {"how": asdict(self.how) if self.how else None}
-        return {name: value for name, value in content.items() if value not in (None, "", ())}
+        return {name: _listed(value) for name, value in content.items() if value not in (None, "", ())}
 
     @classmethod
     def from_json(cls, content: dict) -> Stage:
@@ -65,6 +65,13 @@ class Stage:
             lists = {name: tuple(value) for name, value in how.items() if isinstance(value, (list, tuple))}
             how = How(**how | lists | {"missed": missed})
         return cls(**content | {"how": how, "elements": tuple(content.get("elements", ()))})
+
+
+def _listed(value: object) -> object:
+    """Lists instead of tuples, so that what was written is equal to what is read again."""
+    if isinstance(value, (tuple, list)):
+        return [_listed(item) for item in value]
+    return {name: _listed(item) for name, item in value.items()} if isinstance(value, dict) else value
 
 
 def in_words(stage: Stage) -> str:
