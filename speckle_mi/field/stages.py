@@ -29,7 +29,7 @@ from ..plan.shadows import (
 )
 from ..plan.way import Channel, Rim
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
-from ..propagation.opening_quadrature import opening_nodes
+from ..propagation.opening_quadrature import TIGHTEST, opening_nodes
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
 from ..propagation.reference import reference_sum
 from ..plan.stage import RAYS, SUM, Stage
@@ -45,6 +45,9 @@ wave of an edge that is otherwise left out."""
 
 _FEW_PAIRS = 300_000
 """Pairs of scatterer and pixel below which their plain sum takes less time than the search for a better way."""
+
+_QUADRATURE_SHARE = 1e-3
+"""Part of the tolerance to which the integral over an opening is resolved: it converges so fast that this costs little."""
 
 _GRADIENT_SAFETY = 1.05
 """Factor on the sampled phase gradient, for what lies between the samples."""
@@ -71,12 +74,13 @@ def channel_field(
     options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
     sources, weights, axes, opening = scatterers.position, scatterers.amplitude, setup.frame.axes, None
     tolerance = max(options.tolerance / (len(channel.openings) + 1), 1e-8)
+    quadrature = max(_QUADRATURE_SHARE * tolerance, TIGHTEST)
     stages: list[Stage] = []
     for number, rim in enumerate(channel.openings):
         began = time.perf_counter()
         targets = _next_targets(channel, number, grid)
         try:
-            nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, tolerance)
+            nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, quadrature)
         except InputError as error:
             raise SceneError(
                 f"opening {rim.name!r}: {error}; "
@@ -98,7 +102,7 @@ def channel_field(
     if channel.hidden is not None:
         _require_dark(channel, values)
     stages += _sums(("the detector",), [(result.how, result.numerical_error)], began)
-    return _channel_field(channel, values, stages)
+    return _channel_field(channel, values, stages, quadrature * np.sqrt(len(channel.openings)))
 
 
 def _without_openings(
@@ -181,8 +185,12 @@ def _sums(
     ]
 
 
-def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage]) -> ChannelField:
-    error = float(np.sqrt(np.sum([stage.error**2 for stage in stages]) + channel.left_out**2))
+def _channel_field(
+    channel: Channel, values: np.ndarray, stages: list[Stage], quadrature: float = 0.0
+) -> ChannelField:
+    """The whole of a channel; its error is that of the sums, of what is left out and of the quadrature together."""
+    parts = [*(stage.error for stage in stages), channel.left_out, quadrature]
+    error = float(np.sqrt(np.sum(np.square(parts))))
     factor = amplitude_of(channel.interactions)
     values = values if factor == 1.0 else factor * values
     return ChannelField(values, tuple(replace(stage, way=channel.route.label) for stage in stages), error)

@@ -15,6 +15,7 @@ from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import trace
 from ..optics.unfold import unfold
+from ..propagation.coherent_sum import CERTAINTY
 from .setup import Setup
 from ..scene.errors import SceneError
 from .edges import SHARE, all_affordable, chosen_edges, limiting_rims
@@ -216,10 +217,10 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
     stages = [Stage(DIFFRACTED, tuple(rim.name for rim in chosen))] if chosen else []
     left = max(waves, key=lambda one: one.wave, default=None)
     if left is not None and left.wave > 0:
-        total = float(np.sqrt(sum(one.wave**2 for one in waves)))
+        total = min(1.0, CERTAINTY * float(np.sqrt(sum(one.wave**2 for one in waves))))
         reason = (
             f"the nearest edge, of {left.rim.name}, is clear of the light "
-            f"(the edges' waves are about {total:.1%} of the field)"
+            f"(the edges' waves are at most about {total:.1%} of the field)"
         )
         stages.append(Stage(NOT_DIFFRACTED if not chosen else CLEAR, (left.rim.name,), reason=reason, predicted_error=total))
     elif not chosen:
