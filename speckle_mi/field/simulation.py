@@ -90,6 +90,8 @@ class Simulation:
         scatterers = _visible(setup, _illuminated(setup), plan, warnings)
         centre, intensity, stages, error = self._detect(setup, scatterers, plan, warnings)
         warnings += plan.warnings
+        if error > setup.assembly.options.tolerance:
+            warnings.append(_beyond_tolerance(error, setup.assembly.options.tolerance, stages))
         header = header_of(setup.assembly, setup.pose, scatterers.count, stages, error, warnings)
         image = FieldImage(intensity, centre, header)
         return FrameResult(image, scatterers, stages, error, tuple(warnings), time.perf_counter() - began)
@@ -152,11 +154,11 @@ class Simulation:
         parts = [self._part(setup, scatterers, channel, offset, warnings) for channel in plan.channels]
         stages = (*plan.stages, *(stage for part in parts for stage in part.stages))
         if len(parts) == 1:
-            return parts[0].field, stages, parts[0].error
+            return parts[0].field, stages, float(np.hypot(parts[0].error, plan.left_out))
         total = sum(part.field for part in parts)
         error = np.sqrt(sum((part.error * np.linalg.norm(part.field)) ** 2 for part in parts))
         norm = np.linalg.norm(total)
-        return total, stages, float(error / norm) if norm > 0 else 0.0
+        return total, stages, float(np.hypot(error / norm, plan.left_out)) if norm > 0 else 0.0
 
     def _part(
         self, setup: Setup, scatterers: Scatterers, channel: Channel, offset: tuple[float, float], warnings: list[str]
@@ -192,6 +194,12 @@ def _visible(setup: Setup, lit: Scatterers, plan: Plan, warnings: list[str]) -> 
     if note or not np.any(seen.amplitude):
         warnings.append(note or _UNLIT)
     return seen
+
+
+def _beyond_tolerance(error: float, tolerance: float, stages: tuple[Stage, ...]) -> str:
+    """One line on an error larger than asked for, and where it comes from."""
+    largest = max(stages, key=lambda stage: max(stage.error or 0.0, stage.predicted_error or 0.0))
+    return f"the error of the field is {error:.1e}, more than the tolerance of {tolerance:.0e}: {largest}"
 
 
 def _shifted(grid: PlaneGrid, offset: tuple[float, float]) -> PlaneGrid:

@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.outline import Circle
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
+from ..plan.edges import phase_gradient
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
     SHADOWS_ON_OPENING,
@@ -90,9 +90,7 @@ def channel_field(
             values, results = result.field, [(result.how, result.numerical_error)]
         stages += _sums((rim.name,), results, began, nodes.size)
         sources, weights, axes = nodes.points(), values * areas, rim.plane.frame.axes
-        towards = np.mean(targets, axis=0) - rim.plane.frame.origin
-        normal = rim.plane.frame.axes[:, 2]
-        opening = (normal if normal @ towards > 0 else -normal, rim.index)
+        opening = (rim.normal, rim.index)
     began = time.perf_counter()
     path = _path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
     result = _summed(channel, path, sources, weights, grid, wavelength, options.method, tolerance)
@@ -184,7 +182,7 @@ def _sums(
 
 
 def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage]) -> ChannelField:
-    error = float(np.sqrt(np.sum([stage.error**2 for stage in stages])))
+    error = float(np.sqrt(np.sum([stage.error**2 for stage in stages]) + channel.left_out**2))
     factor = amplitude_of(channel.interactions)
     values = values if factor == 1.0 else factor * values
     return ChannelField(values, tuple(replace(stage, way=channel.route.label) for stage in stages), error)
@@ -245,47 +243,14 @@ def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: 
 
 
 def _nodes(
-    channel: Channel,
-    number: int,
-    rim: Rim,
-    sources: np.ndarray,
-    targets: np.ndarray,
-    wavelength: float,
+    channel: Channel, number: int, rim: Rim, sources: np.ndarray, targets: np.ndarray, wavelength: float,
     tolerance: float,
-) -> tuple[PlanePoints, np.ndarray]:
+) -> tuple[PlanePoints, np.ndarray]:  # fmt: skip
     """Nodes and areas on an opening that resolve the phase of all light from sources to targets over it."""
-    samples = opening_samples(rim.plane)
-    is_last = number + 1 == len(channel.openings)
-    end = detector_plane(channel.grid) if is_last else channel.openings[number + 1].end
-    before, after = Sequence((*channel.leg(number), rim.end)), Sequence((*channel.leg(number + 1), end))
-    coming = aim(before, np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0)).arrival
-    going = aim(after, np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1))).launch
-    tangents = rim.plane.frame.axes[:, :2]
-    k = 2 * np.pi * rim.index / wavelength
-    coming = k * (coming @ tangents).reshape(len(samples), -1, 1, 2)
-    going = k * (going @ tangents).reshape(len(samples), 1, -1, 2)
-    gradient = (coming - going).reshape(len(samples), -1, 2)
-    if not np.isfinite(gradient).any():
-        raise InputError("no ray leads over it from the spot to the detector")
-    outline = rim.plane.outline
-    if not isinstance(outline, Circle):
-        bound = _GRADIENT_SAFETY * np.nanmax(np.abs(gradient), axis=(0, 1))
-        return opening_nodes(outline, rim.plane.frame, (float(bound[0]), float(bound[1])), tolerance)
-    local = rim.plane.frame.to_local(samples)[:, :2]
-    radius = np.hypot(*local.T)
-    length = np.nanmax(np.hypot(gradient[..., 0], gradient[..., 1]), axis=1)
-    around = np.stack([-local[:, 1], local[:, 0]], axis=1) / np.maximum(radius, 1e-300)[:, None]
-    azimuthal = np.nanmax(np.abs(np.einsum("snk,sk->sn", gradient, around)), axis=1)
-    tilt = max(float(length[radius == 0].max()), float(azimuthal.max()))
-    largest = float(length.max())
-    grows_evenly = np.all(length <= (tilt + (largest - tilt) * radius / outline.radius) * _GRADIENT_SAFETY + 1e-9)
-    return opening_nodes(
-        outline,
-        rim.plane.frame,
-        _GRADIENT_SAFETY * largest,
-        tolerance,
-        _GRADIENT_SAFETY * tilt if grows_evenly else None,
-    )
+    before = channel.openings[number - 1] if number > 0 else None
+    after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
+    gradient = phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY)
+    return opening_nodes(rim.plane.outline, rim.plane.frame, gradient.bound, tolerance, gradient.tilt)
 
 
 def _next_targets(channel: Channel, number: int, grid: PlaneGrid) -> np.ndarray:

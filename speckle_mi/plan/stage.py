@@ -12,8 +12,10 @@ UNFOLDED = "unfolded"
 TRACED = "traced"
 DIFFRACTED = "diffracted"
 NOT_DIFFRACTED = "not diffracted"
+CLEAR = "clear"
 SHADOWS = "geometric shadows"
 LEFT_OUT = "left out"
+OTHER_WAY = "other way"
 NO_WAY = "no way"
 BESIDE = "beside the detector"
 SUM = "sum"
@@ -82,6 +84,8 @@ def in_words(stage: Stage) -> str:
             return f"diffracted at {named}" + (f" ({stage.reason})" if stage.reason else "")
         case "not diffracted":
             return f"diffracts nothing: {stage.reason}"
+        case "clear":
+            return f"left out: {stage.reason}"
         case "geometric shadows":
             return f"openings cast geometric shadows, {stage.reason}"
         case "left out":
@@ -89,6 +93,8 @@ def in_words(stage: Stage) -> str:
                 f"left out: the wave of the edge of {quoted}, which stands beside the light "
                 f"(at most {stage.predicted_error:.1%} of the field)"
             )
+        case "other way":
+            return f"left out: {stage.way}, light that edges alone throw there (about {stage.predicted_error:.1e} of the field)"
         case "no way":
             return f"no way: no light reaches the detector, {stage.reason}"
         case "beside the detector":
