@@ -29,15 +29,16 @@ Lens (:monosp:`lens`)
    - |exposed|
  * - ior
    - |float|
-   - Index of refraction at the laser's wavelength, at least 1. (Required)
+   - Index of refraction at the laser's wavelength, at least 1; relative to air in air, else to vacuum. (Required)
    - |exposed|
  * - bsdf
    - |bsdf|
-   - What other integrators see. (Default: a smooth dielectric of this index)
+   - A smooth dielectric whose ``int_ior`` is ``ior``; its ``specular_transmittance`` counts at each surface, and its
+     ``ext_ior`` says what everything stands in. (Default: a smooth dielectric of this index)
    -
 
-A thick lens in air of two surfaces of revolution,
-:math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, and a cylindrical rim.
+A thick lens of two surfaces of revolution, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, and a
+cylindrical rim. It stands in air, or in the ``ext_ior`` of the scene's dielectrics where that is another medium (water).
 
 .. tabs::
     .. code-tab:: xml

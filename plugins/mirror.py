@@ -32,7 +32,8 @@ Mirror (:monosp:`mirror`)
    - |exposed|
  * - bsdf
    - |bsdf|
-   - What other integrators see. (Default: a two-sided smooth conductor of this reflectance)
+   - A smooth conductor whose ``specular_reflectance`` is ``reflectance``, for other integrators. (Default: such a
+     one, two-sided)
    -
 
 A thin mirror of limited size that reflects on both sides: the part of the surface of revolution
@@ -142,7 +143,8 @@ class Mirror(mi.Mesh):
         ends = f"where the surface of 'radius' = {value_of(self.radius):g} mm with 'conic' = {surface.conic:g} ends"
         if abs(off_axis) >= widest:
             raise SceneError(
-                f"{self.where}: parameter 'off_axis' is {off_axis:g} mm, must be less than {widest:.7g} mm in size, {ends}"
+                f"{self.where}: parameter 'off_axis' is {off_axis:g} mm, "
+                f"must be less than {widest:.7g} mm in size, {ends}"
             )
         beside = f" at 'off_axis' = {off_axis:g} mm" if off_axis else ""
         raise SceneError(

@@ -123,6 +123,7 @@ class RoughTarget(mi.Mesh):
         vertices, faces = self._read_form(props)
         self.points = self._read_points(props)
         self.precise_transforms: dict[str, np.ndarray] = {}
+        self.stated_indices: dict[str, list[tuple[float, float]]] = {}
         self.bsdf_recipe: dict | None = None
         super().__init__(props)
         self.rest_mesh = vertices, faces

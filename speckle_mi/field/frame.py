@@ -39,7 +39,7 @@ def header_of(
     """What an image's file says of it: everything that it was made with, units in the names."""
     grid, frame = assembly.detector, assembly.target.frame
     return {
-        "wavelength_nm": round(assembly.beam.wavelength * 1e6, 9),
+        "wavelength_nm": round(assembly.vacuum_wavelength * 1e6, 9),
         "pixel_pitch_mm": grid.pitch,
         "pose": str(pose),
         "seed": assembly.seed,

@@ -17,10 +17,7 @@ from enum import IntEnum
 import numpy as np
 
 from .sequence import Interaction, Sequence
-from .surface import dot
-
-BEHIND_TOLERANCE = 1e-9
-"""A surface this far behind the ray's start [mm] still counts as met: a source may lie on it, rounded."""
+from .surface import BEHIND_TOLERANCE, dot
 
 
 class RayStatus(IntEnum):

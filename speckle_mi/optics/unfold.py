@@ -15,9 +15,8 @@ from .surface import Surface
 def unfold(interactions: tuple[Interaction, ...], grid: PlaneGrid) -> tuple[tuple[Interaction, ...], PlaneGrid]:
     """The same paths without plane mirrors: interactions and detector behind each mirror are mirrored in it.
 
-    A mirror becomes an opening with the mirror's outline and its factor of the amplitude. Path lengths are unchanged,
-    since reflection is an isometry; axes behind an odd number of mirrors are left-handed. The mirrors' own phase is left
-    out.
+    A mirror becomes an opening with the mirror's outline and factor of the amplitude. Path lengths are unchanged, since
+    reflection is an isometry; axes behind an odd number of mirrors are left-handed. The mirrors' own phase is left out.
     """
     turn, shift = np.eye(3), np.zeros(3)
     unfolded = []

@@ -18,7 +18,6 @@ up to the given one, by Parseval's theorem A min(1, 2/(K R)) for a disc of area 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 from scipy import fft
@@ -108,7 +107,7 @@ def star_nodes(
     per_angle = float(np.max(np.hypot(across * radius, total * slope)))
     count = _gauss_count(_change_along(across, total) * widest / 2, error) + 1  # the area's t: one degree more
     _check_count(count, count * max(1.0, per_angle / 2))
-    t, radial = _gauss(count)
+    t, radial = roots_legendre(count)
     t, radial = (1 + t) / 2, radial / 2
     angles = _angle_counts(per_angle * t, error) + orders
     _check_count(count, float(np.sum(angles)))
@@ -140,19 +139,13 @@ def _rectangle_nodes(
     scale = np.sqrt(np.prod(np.minimum(1.0, np.pi / 2 / np.maximum(change, 1e-300))))
     counts = [_gauss_count(c, 0.5 * tolerance * scale) for c in change]
     _check_count(max(counts), float(np.prod(counts)))
-    (x, wx), (y, wy) = (_gauss(n) for n in counts)
+    (x, wx), (y, wy) = (roots_legendre(n) for n in counts)
     a, b = np.meshgrid(half[0] * x, half[1] * y, indexing="ij")
     return _on_plane(frame, a.ravel(), b.ravel()), np.multiply.outer(half[0] * wx, half[1] * wy).ravel()
 
 
 def _on_plane(frame: Frame, a: np.ndarray, b: np.ndarray) -> PlanePoints:
     return PlanePoints(np.asarray(frame.origin, dtype=np.float64), frame.axes[:, 0], frame.axes[:, 1], a, b)
-
-
-@lru_cache(maxsize=32)
-def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Legendre nodes and weights (count,) on [-1, 1]."""
-    return roots_legendre(count)
 
 
 def _amplitude_orders(error: float) -> int:

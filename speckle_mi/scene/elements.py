@@ -13,10 +13,10 @@ from .body import Body
 class Element:
     """A shape of the scene.
 
-    name: its id; kind: "opening" (a hole in a screen), "mirror", "glass" or "opaque"; faces: its optical surfaces; body:
-    its form as rays meet it; index: refractive index inside glass; closed: whether the one face is a whole sphere;
-    screen_radius: where the screen around an opening ends [mm]; amplitude: factor of the light's amplitude at each
-    reflection by a mirror or refraction at a face of glass.
+    name: its id; kind: "opening" (a hole in a screen), "mirror", "glass" or "opaque"; faces: its optical surfaces;
+    body: its form as rays meet it; index: refractive index inside glass, relative to the medium around; closed: whether
+    the one face is a whole sphere; screen_radius: where the screen around an opening ends [mm]; amplitude: factor of
+    the light's amplitude at each reflection by a mirror or refraction at a face of glass.
     """
 
     name: str

@@ -15,6 +15,7 @@ import numpy as np
 
 from .bsdf_recipe import bsdf_recipe
 from .source import NotReadable, source_of_file, source_of_string, types_in_dict
+from .stated_indices import stated_indices
 
 TARGET = "rough_target"
 
@@ -50,10 +51,12 @@ def _remembering(mitsuba: ModuleType, load: Callable, parse: str) -> Callable:
             return load(source, *arguments, **parameters)
         # Merging shapes of one material into one mesh, Mitsuba's default, would take mirrors and plates apart.
         loaded = load(source, *arguments, **{"optimize": False, **parameters})
+        indices = stated_indices(nodes)
         for target in _targets(loaded, mitsuba):
             target.precise_transforms = {
                 node.props.id(): _matrix(node.props) for node in nodes if node.props.id() and _is_placed(node.props)
             }
+            target.stated_indices = indices
             target.bsdf_recipe = bsdf_recipe(state, target.id())
         return loaded
 

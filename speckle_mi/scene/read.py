@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import mitsuba as mi
@@ -15,8 +16,9 @@ from .assembly import GRAZING, Assembly, Target
 from .body import Body
 from .elements import Element
 from .errors import SceneError
+from .materials import medium_around
 from .parameters import integer_of, value_of
-from .shapes import elements_of
+from .shapes import elements_of, shapes_of
 
 _ON_SURFACE = 1e-9
 """Depth in a glass, relative to its size, up to which a point still counts as on its surface."""
@@ -50,8 +52,11 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
                 "its light would be left out, remove it"
             )
     _require_memory(detector)
-    elements = tuple(elements_of(scene, shape))
-    beam, target = _aim(laser.beam(), shape)
+    shapes = shapes_of(scene, shape)
+    medium = medium_around(shapes, shape)
+    elements = tuple(elements_of(shapes, shape, medium))
+    beam = laser.beam()
+    beam, target = _aim(replace(beam, wavelength=beam.wavelength / medium), shape)
     _require_apart(elements)
     assembly = Assembly(
         beam=beam,
@@ -61,6 +66,7 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
         options=integrator.options,
         pose=shape.pose(),
         sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
+        index=medium,
     )
     _require_in_air(elements, f"{detector.where}: the detector's centre", assembly.detector.centre)
     _require_in_air(elements, f"{shape.where}: the middle of the spot", assembly.spot.point)

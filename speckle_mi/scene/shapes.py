@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mitsuba as mi
 import numpy as np
 
@@ -12,6 +14,7 @@ from .body import body_of
 from .elements import Element
 from .errors import SceneError
 from .exact_transforms import precise_transform
+from .materials import glass_of, innermost, require_conductor, require_dielectric, strength
 from .parameters import describe_shape
 
 _OPAQUE = ("SmoothDiffuse", "RoughConductor", "SmoothPlastic", "RoughPlastic", "Principled")
@@ -20,24 +23,50 @@ _OPAQUE = ("SmoothDiffuse", "RoughConductor", "SmoothPlastic", "RoughPlastic", "
 _PLACED = ("Rectangle", "Disk", "Sphere", "Cube", "Cylinder")
 """Forms whose transform in double precision is asked for."""
 
+_OPTICAL = {
+    ("SmoothConductor", "Rectangle"): ("mirror", "specular_reflectance"),
+    ("SmoothConductor", "Disk"): ("mirror", "specular_reflectance"),
+    ("SmoothConductor", "Sphere"): ("mirror", "specular_reflectance"),
+    ("SmoothDielectric", "Sphere"): ("glass", "specular_transmittance"),
+    ("SmoothDielectric", "Cube"): ("glass", "specular_transmittance"),
+}
+"""Kind of element that a material and a form make, and what its BSDF calls the part of the intensity that goes on."""
+
 FARTHEST_SHAPE = 3e4
 """Largest coordinate [mm] of a shape that rays have to find; their places are single precision, 2 um there."""
 
 
-def elements_of(scene: mi.Scene, target: mi.Shape) -> list[Element]:
-    """All shapes of the scene but the target. Raises SceneError for one that cannot be taken into account."""
+def shapes_of(scene: mi.Scene, target: mi.Shape) -> list[mi.Shape]:
+    """All shapes of the scene but the target, in the order of their ids."""
     # Mitsuba loads shapes in parallel: their order in the scene is not that of the file, nor always the same.
-    shapes = sorted((shape for shape in scene.shapes() if shape is not target), key=lambda shape: shape.id())
-    found = [shape.element() if hasattr(shape, "element") else _stock(shape, target) for shape in shapes]
+    return sorted((shape for shape in scene.shapes() if shape is not target), key=lambda shape: shape.id())
+
+
+def elements_of(shapes: list[mi.Shape], target: mi.Shape, medium: float) -> list[Element]:
+    """What shapes are in a medium of index ``medium``. Raises SceneError for one that cannot be taken into account."""
+    found = [
+        _of_plugin(shape, target, medium) if hasattr(shape, "element") else _stock(shape, target) for shape in shapes
+    ]
     for shape in (*shapes, target) if found else ():
         _require_near(shape)
     return found
 
 
+def _of_plugin(shape: mi.Shape, target: mi.Shape, medium: float) -> Element:
+    """One of this package's own shapes, which knows its surfaces but not what it stands in."""
+    element = shape.element()
+    if element.kind == "glass":
+        require_dielectric(shape, target, medium)
+        amplitude = np.sqrt(strength(shape, "specular_transmittance"))
+        return replace(element, index=element.index / medium, amplitude=float(amplitude))
+    if element.kind == "mirror":
+        require_conductor(shape)
+    return element
+
+
 def _stock(shape: mi.Shape, target: mi.Shape) -> Element:
     """One of Mitsuba's own shapes by its form and material."""
-    bsdf = _innermost(shape.bsdf())
-    form, material = shape.class_name(), bsdf.class_name()
+    form, material = shape.class_name(), innermost(shape.bsdf()).class_name()
     to_world = precise_transform(shape, target) if form in _PLACED else None
     body = body_of(shape, to_world)
     if material in _OPAQUE:
@@ -47,19 +76,20 @@ def _stock(shape: mi.Shape, target: mi.Shape) -> Element:
                 "sphere, disk, rectangle or cylinder"
             )
         return Element(shape.id(), "opaque", (), body)
-    if material == "SmoothConductor" and form in ("Rectangle", "Disk"):
-        return Element(shape.id(), "mirror", (_plane(shape, to_world),), body)
-    if material == "SmoothConductor" and form == "Sphere":
-        return Element(shape.id(), "mirror", (_sphere(shape, to_world),), body, closed=True)
-    if material == "SmoothDielectric" and form == "Sphere":
-        return Element(shape.id(), "glass", (_sphere(shape, to_world),), body, index=_index(bsdf), closed=True)
-    if material == "SmoothDielectric" and form == "Cube":
-        return Element(shape.id(), "glass", _box(shape, to_world), body, index=_index(bsdf))
-    raise SceneError(
-        f"{describe_shape(shape)} with {material} cannot be taken into account: "
-        "must be an aperture, a lens, a sphere or cube of dielectric, a rectangle, disk or sphere of conductor, "
-        "or opaque (diffuse, plastic, roughconductor)"
-    )
+    if (material, form) not in _OPTICAL:
+        raise SceneError(
+            f"{describe_shape(shape)} with {material} cannot be taken into account: "
+            "must be an aperture, a lens, a mirror, a sphere or cube of dielectric, a rectangle, disk or sphere of "
+            "conductor, or opaque (diffuse, plastic, roughconductor)"
+        )
+    kind, name = _OPTICAL[material, form]
+    faces = _FACES[form](shape, to_world)
+    amplitude = float(np.sqrt(strength(shape, name)))
+    if amplitude == 0.0:
+        return Element(shape.id(), "opaque", (), body)
+    glass = glass_of(shape, target)
+    index = 1.0 if glass is None else glass.index
+    return Element(shape.id(), kind, faces, body, index=index, closed=form == "Sphere", amplitude=amplitude)
 
 
 def _require_near(shape: mi.Shape) -> None:
@@ -73,26 +103,6 @@ def _require_near(shape: mi.Shape) -> None:
         )
 
 
-def _innermost(bsdf: mi.BSDF) -> mi.BSDF:
-    """The BSDF inside ``twosided``."""
-    if bsdf.class_name() != "TwoSidedBRDF":
-        return bsdf
-    held: list[mi.BSDF] = []
-
-    class Collect(mi.TraversalCallback):
-        def put(self, name, value, flags):
-            if isinstance(value, mi.BSDF):
-                held.append(value)
-
-    bsdf.traverse(Collect())
-    return held[0]
-
-
-def _index(bsdf: mi.BSDF) -> float:
-    """Refractive index of a dielectric; the decimal number the scene gave, which single precision has rounded."""
-    return float(str(np.float32(mi.traverse(bsdf)["eta"])))
-
-
 def _axes_and_scales(shape: mi.Shape, matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Origin (3,), unit axes (3, 3) and half sizes (3,) of a stock shape. SceneError when it is sheared."""
     scales = np.linalg.norm(matrix[:3, :3], axis=0)
@@ -104,20 +114,20 @@ def _axes_and_scales(shape: mi.Shape, matrix: np.ndarray) -> tuple[np.ndarray, n
     return matrix[:3, 3], axes, scales
 
 
-def _plane(shape: mi.Shape, matrix: np.ndarray) -> Surface:
+def _plane(shape: mi.Shape, matrix: np.ndarray) -> tuple[Surface]:
     origin, axes, scales = _axes_and_scales(shape, matrix)
     if shape.class_name() == "Disk":
         if not np.isclose(scales[0], scales[1], rtol=1e-5):
             raise SceneError(f"{describe_shape(shape)}: is scaled to an ellipse, must stay a circle")
-        return Surface(Frame(origin, axes), outline=Circle(float(scales[0])))
-    return Surface(Frame(origin, axes), outline=Rectangle(float(scales[0]), float(scales[1])))
+        return (Surface(Frame(origin, axes), outline=Circle(float(scales[0]))),)
+    return (Surface(Frame(origin, axes), outline=Rectangle(float(scales[0]), float(scales[1]))),)
 
 
-def _sphere(shape: mi.Shape, matrix: np.ndarray) -> Surface:
+def _sphere(shape: mi.Shape, matrix: np.ndarray) -> tuple[Surface]:
     origin, _, scales = _axes_and_scales(shape, matrix)
     if not np.allclose(scales, scales[0], rtol=1e-5):
         raise SceneError(f"{describe_shape(shape)}: is scaled to an ellipsoid, must stay a sphere")
-    return Surface.sphere(origin, float(scales[0]))
+    return (Surface.sphere(origin, float(scales[0])),)
 
 
 def _box(shape: mi.Shape, matrix: np.ndarray) -> tuple[Surface, ...]:
@@ -130,3 +140,7 @@ def _box(shape: mi.Shape, matrix: np.ndarray) -> tuple[Surface, ...]:
             frame = Frame(origin + side * scales[axis] * axes[:, axis], axes[:, [a, b, axis]])
             faces.append(Surface(frame, outline=Rectangle(float(scales[a]), float(scales[b]))))
     return tuple(faces)
+
+
+_FACES = {"Rectangle": _plane, "Disk": _plane, "Sphere": _sphere, "Cube": _box}
+"""Optical surfaces of a stock shape."""
