@@ -1,7 +1,16 @@
 """Laser speckle of a moving rough surface, as a designed sensor will see it.
 
-Importing this package makes its plugins known to Mitsuba (``laser``, ``rough_target``, ``aperture``, ``lens``,
-``detector`` and ``coherent``) for the variant that is set, and for any that is set later::
+In a program or a notebook::
+
+    import speckle_mi as smi
+    assembly = smi.load_scene("scene.xml", beam_radius=0.2)
+    simulation = smi.Simulation(assembly)
+    rest, moved = (simulation.frame(smi.Pose(x=x)).image for x in (0.0, 0.01))
+    print(smi.Correlator(rest.intensity).shift(moved.intensity))
+
+What is named here is imported when it is first used. ``python -m speckle_mi`` lists the commands. Importing the package
+does nothing else but make its plugins known to Mitsuba (``laser``, ``rough_target``, ``aperture``, ``lens``,
+``detector`` and ``coherent``), for the variant that is set and for any that is set later::
 
     import mitsuba, speckle_mi
     mitsuba.set_variant("llvm_ad_mono")
@@ -23,3 +32,33 @@ _llvm.prefer_packaged_library()
 from .plugins._registration import follow_mitsuba as _follow_mitsuba  # noqa: E402  (after the search path is complete)
 
 _follow_mitsuba()
+
+_PUBLIC = {
+    "Assembly": "scene.assembly",
+    "Correlator": "measurement.correlator",
+    "FieldImage": "images.field_image",
+    "Pose": "geometry.pose",
+    "Simulation": "field.simulation",
+    "expected_sensitivity": "experiments.expectation",
+    "fit_sensitivity": "measurement.sensitivity",
+    "load_scene": "scene.load",
+    "read_image": "images.pictures",
+    "theory": "theory",
+}
+"""What a program needs, and where it is defined."""
+
+__all__ = list(_PUBLIC)
+
+
+def __getattr__(name: str) -> object:
+    """Imports what is public when it is asked for: Mitsuba, plots and the like are loaded only by those who use them."""
+    from importlib import import_module
+
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}, its public names are {', '.join(_PUBLIC)}")
+    module = import_module(f"{__name__}.{_PUBLIC[name]}")
+    return module if name == "theory" else getattr(module, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PUBLIC})

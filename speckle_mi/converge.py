@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import add_force, command, say, scene_parser
+from .errors import InputError
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
 MAX_POINT_SOURCES = 10**15
@@ -51,27 +52,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.system import system_information
     from .scene.read import assembly_from_scene
     from .validation.convergence.plots import plot_convergence, plot_scatter
-    from .validation.convergence.report import print_report, write_rows, write_study
-    from .validation.convergence.study import Allowance, Study
+    from .validation.convergence.report import print_report, write_findings, write_rows
+    from .validation.convergence.study import study
+    from .validation.convergence.subject import Subject
 
     assembly = assembly_from_scene(scene)
     identity = json.loads(json.dumps({"scene_hash": assembly.fingerprint(), "seed": assembly.seed} | settings))
     for name in ("converge.json", "converge.csv"):
         refuse_other_settings(folder / name, identity_in(folder / "converge.json"), identity, options.force)
-    study = Study(assembly, Path(options.scene).stem, settings, Allowance(settings["seconds"]))
+    subject = Subject.of(assembly, Path(options.scene).stem, settings["point_sources"])
     with progress_bars(options.quiet, predicts=False) as progress:
-        rows = study.every_method(progress)
-        scatter = study.scatter_over_surfaces(progress)
+        found = study(subject, settings, progress)
     folder.mkdir(parents=True, exist_ok=True)
-    write_rows(folder / "converge.csv", rows)
-    plot_convergence(folder / "converge.png", rows, study.name)
-    plot_scatter(folder / "statistics.png", scatter, study.name)
+    write_rows(folder / "converge.csv", found.rows)
+    plot_convergence(folder / "converge.png", found.rows, subject.name)
+    plot_scatter(folder / "statistics.png", found.scatter, subject.name)
     system = system_information()
     total = time.perf_counter() - start
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
-    write_study(folder / "converge.json", asked, study, rows, scatter, {"system": system, "seconds_total": total})
+    write_findings(folder / "converge.json", asked, found, {"system": system, "seconds_total": total})
     if not options.quiet:
-        print_report(study, rows, scatter, system)
+        print_report(found, system)
         say(options, f"{folder}: converge.csv, converge.json, converge.png and statistics.png, {total:.0f} s in all")
 
 
@@ -96,7 +97,7 @@ def _settings(options) -> dict:
     settings = dict(QUICK if options.quick else FULL)
     if options.seconds is not None:
         if not (math.isfinite(options.seconds) and options.seconds > 0):
-            raise ValueError(f"--seconds {options.seconds:g}: must be a finite number above 0")
+            raise InputError(f"--seconds {options.seconds:g}: must be a finite number above 0")
         settings["seconds"] = options.seconds
     if options.point_sources is not None:
         try:
@@ -104,7 +105,7 @@ def _settings(options) -> dict:
         except ValueError:
             values = [math.nan]
         if not all(1 <= value <= MAX_POINT_SOURCES and value == int(value) for value in values):
-            raise ValueError(
+            raise InputError(
                 f"--point-sources {options.point_sources!r}: must be whole numbers with commas between, "
                 f"each 1 to {MAX_POINT_SOURCES:g}"
             )

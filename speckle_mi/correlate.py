@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 import math
-
 from collections.abc import Sequence
 
 from .command_line import command, parser
@@ -27,9 +26,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = arguments_of.parse_args(argv)
     # Not at the top: a command answers interrupts before it imports what takes time.
     from .images.pictures import read_image
+    from .machine.quiet import muted
     from .measurement.compare import common_pitch, compare
 
-    reference, moved = read_image(arguments.reference), read_image(arguments.moved)
+    with muted():  # OpenEXR prints what is damaged in pictures of other programs, besides the error it raises
+        reference, moved = read_image(arguments.reference), read_image(arguments.moved)
     pitch = common_pitch(reference.header, moved.header)
     result = compare(reference.intensity, moved.intensity, pitch, arguments.window)
     # JSON has no NaN.

@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from .command_line import add_force, command, say, scene_parser
+from .errors import InputError
 
 if TYPE_CHECKING:
     from .geometry.pose import Pose
@@ -40,9 +41,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     pose = None if options.pose is None else _pose(options.pose)
     for flag, value in (("--per-source", options.per_source), ("--spp", options.spp)):
         if value < 0:
-            raise ValueError(f"{flag} {value}: must not be negative")
+            raise InputError(f"{flag} {value}: must not be negative")
     if options.per_source > MAX_LAYERS:
-        raise ValueError(f"--per-source {options.per_source}: must be at most {MAX_LAYERS} (layers of a file)")
+        raise InputError(f"--per-source {options.per_source}: must be at most {MAX_LAYERS} (layers of a file)")
     require_output(options.output, ".exr")
     if options.sources is not None:
         require_output(options.sources, ".npz")
@@ -88,7 +89,7 @@ def _pose(text: str) -> Pose:
     from .geometry.pose import Pose
 
     if not text.strip():
-        raise ValueError(f"--pose {text!r}: must name a displacement, for example x=0.02,ry=0.01")
+        raise InputError(f"--pose {text!r}: must name a displacement, for example x=0.02,ry=0.01")
     return Pose.parse(text)
 
 

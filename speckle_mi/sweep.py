@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .command_line import add_force, command, say, scene_parser
+from .errors import InputError
 from .machine.interrupt import keeping
 
 if TYPE_CHECKING:
@@ -49,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = _with_seeds(settings, assembly.seed, _surfaces(assembly, options))
     largest = max(assembly.detector.shape)
     if settings.window is not None and settings.window > largest:
-        raise ValueError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
+        raise InputError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
     identity = _identity(assembly, settings)
     _claim(folder, identity, options.force)
     result = SweepResult()
@@ -103,22 +104,22 @@ def _settings(options) -> SweepSettings:
     dofs = tuple(name.strip() for name in options.dof.split(","))
     for name in dofs:
         if name not in DEGREES_OF_FREEDOM:
-            raise ValueError(f"--dof {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
+            raise InputError(f"--dof {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
     if len(set(dofs)) != len(dofs):
-        raise ValueError(f"--dof {options.dof!r}: must name each motion once")
+        raise InputError(f"--dof {options.dof!r}: must name each motion once")
     if not SMALLEST_RANGE <= options.range < math.inf:
         least = f"{SMALLEST_RANGE:g} (mm or deg)"
-        raise ValueError(f"--range {options.range:g}: must be a finite number of at least {least}")
+        raise InputError(f"--range {options.range:g}: must be a finite number of at least {least}")
     if options.steps < 2:
-        raise ValueError(f"--steps {options.steps}: must be at least 2")
+        raise InputError(f"--steps {options.steps}: must be at least 2")
     seeds = SEEDS if options.seeds is None else options.seeds
     if seeds < 1:
-        raise ValueError(f"--seeds {seeds}: must be at least 1")
+        raise InputError(f"--seeds {seeds}: must be at least 1")
     if options.window is not None and options.window < 4:
-        raise ValueError(f"--window {options.window}: must be at least 4 px")
+        raise InputError(f"--window {options.window}: must be at least 4 px")
     frames = frames_of(seeds, len(dofs), options.steps)
     if frames > MAX_FRAMES:
-        raise ValueError(
+        raise InputError(
             f"--seeds {seeds} --steps {options.steps}: would make {frames:.3g} frames, "
             f"must be at most {MAX_FRAMES:.0e}"
         )
@@ -126,7 +127,7 @@ def _settings(options) -> SweepSettings:
         try:
             Pose(**{dof: options.range / 2})
         except ValueError as error:
-            raise ValueError(f"--range {options.range:g}: {error}") from None
+            raise InputError(f"--range {options.range:g}: {error}") from None
     displacements = np.linspace(-options.range / 2, options.range / 2, options.steps)
     return SweepSettings(dofs, displacements, (), options.window)
 
@@ -136,7 +137,7 @@ def _surfaces(assembly, options) -> int:
     if assembly.target.points is None:
         return SEEDS if options.seeds is None else options.seeds
     if options.seeds is not None and options.seeds > 1:
-        raise ValueError(
+        raise InputError(
             f"--seeds {options.seeds}: must be 1, the target's own points are one surface and no seed makes another"
         )
     if options.seeds is None:
@@ -160,8 +161,9 @@ def _identity(assembly, settings: SweepSettings) -> dict:
 
 
 def _claim(folder: Path, identity: dict, force: bool) -> None:
-    """Makes the folder ready; ValueError when it holds results of other settings and ``force`` is not given."""
+    """Makes the folder ready; InputError when it holds results of other settings and ``force`` is not given."""
     from .machine.files import refuse_other_settings, write_json
+    from .machine.fragments import remove_abandoned
 
     settings_file = folder / "settings.json"
     if settings_file.is_file():
@@ -171,8 +173,9 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
             held = None
         refuse_other_settings(folder, held, identity, force)
     elif folder.is_dir() and any(folder.iterdir()) and not force:
-        raise ValueError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
+        raise InputError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
+    remove_abandoned(folder / "frames")
     if force:
         for stale in (
             *folder.glob("frames/*.exr"),

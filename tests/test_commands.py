@@ -49,7 +49,7 @@ AXES = {"u", "v", "x", "y", "cog_u", "cog_v"}
 ENTRY = {
     "value", "ci95", "theory", "bias", "scatter_um", "unit", "basis", "frames_used", "frames_dropped", "note",
 }  # fmt: skip
-DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def run(command, *arguments, cwd, blocked=()):
@@ -364,3 +364,38 @@ def test_commands_run_from_any_folder_with_nothing_set(tmp_path):
         cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120,
     )
     assert done.returncode == DONE, done.stderr
+
+
+# Whose fault it is
+
+ENDS_WITH = """
+import sys
+from speckle_mi.command_line import command
+from speckle_mi.errors import InputError
+from speckle_mi.scene.errors import SceneError
+def main(arguments):
+    raise {error}
+sys.exit(command(main, {arguments}))
+"""
+
+
+@pytest.mark.parametrize(
+    "error",
+    ["ValueError('axes of shape (2,)')", "TypeError('no')", "RuntimeError('kernel')", "AssertionError()"],
+)
+def test_a_fault_of_the_program_is_not_called_the_users_input(error):
+    done = subprocess.run(
+        [sys.executable, "-c", ENDS_WITH.format(error=error, arguments=[])], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == FAULT
+    assert done.stderr.startswith(f"internal error: {error.partition('(')[0]}") and done.stderr.count("\n") == 1
+    assert "report" in done.stderr and "--debug" in done.stderr
+    script = ENDS_WITH.format(error=error, arguments=["--debug"])
+    shown = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60).stderr
+    assert "Traceback" in shown and shown.endswith(done.stderr)
+
+
+@pytest.mark.parametrize("error", ["InputError('window = 3')", "SceneError('no laser')", "OSError(28, 'No space left')"])
+def test_what_the_user_can_put_right_is_bad_input(error):
+    script = ENDS_WITH.format(error=error, arguments=[])
+    refused(subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60))

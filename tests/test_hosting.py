@@ -214,7 +214,7 @@ def test_a_scene_without_our_plugins_is_loaded_by_mitsuba_alone(mitsuba, parsed,
     (tmp_path / "part.xml").write_text(STOCK.format(""))
     (tmp_path / "whole.xml").write_text('<scene version="3.0.0"><include filename="part.xml"/></scene>')
     mitsuba.load_file(str(tmp_path / "whole.xml"))
-    mitsuba.load_string(STOCK.format("<!-- a rough_target would stand here -->"))
+    mitsuba.load_string(STOCK.format(f"<!-- --flag: {TARGET} would stand here -->"))
     mitsuba.load_string(STOCK.format('<default name="kind" value="cube"/><shape type="$kind"/>'), kind="disk")
     mitsuba.load_dict({"type": "scene", "ball": {"type": "sphere", "bsdf": {"type": "diffuse"}}})
     assert parsed == []

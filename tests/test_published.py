@@ -6,6 +6,7 @@ import pytest
 from conftest import SCENES
 
 from speckle_mi.experiments.published import PUBLISHED, published_assembly
+from speckle_mi.scene.write import frame_along, material, on_axis, shape
 
 SHIPPED = {
     "tilted_laser": "tilted laser",
@@ -28,12 +29,8 @@ OTHERS = {
 }
 """Changes that make it another."""
 
-LENS = """<shape type="lens" id="lens"><transform name="to_world"><translate z="30"/></transform>
-<float name="radius1" value="50"/><float name="radius2" value="-50"/><float name="thickness" value="5"/>
-<float name="diameter" value="20"/><float name="ior" value="1.5151"/></shape>"""
-
-WALL = """<shape type="disk" id="wall"><transform name="to_world"><translate x="90" z="5"/></transform>
-<bsdf type="diffuse"/></shape>"""
+LENS = shape("lens", "lens", on_axis(30.0), radius1=50.0, radius2=-50.0, thickness=5.0, diameter=20.0, ior=1.5151).xml()
+WALL = shape("disk", "wall", frame_along([0, 0, 1.0], [90.0, 0, 5.0]), [material("diffuse")]).xml()
 
 
 def with_part(name: str, part: str) -> str:

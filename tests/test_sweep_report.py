@@ -11,6 +11,7 @@ from scene_builder import direction, free_space
 
 from speckle_mi.experiments.sweep_result import SweepResult
 from speckle_mi.report.console import RESIDUALS
+from speckle_mi.scene.write import write_points
 from speckle_mi.sweep import main
 
 FAST = ["--dof", "x", "--range", "0.02", "--steps", "2"]
@@ -26,7 +27,7 @@ def swept(folder, scene, *arguments) -> dict:
 @pytest.fixture
 def scene_of_points(tmp_path):
     """A scene file with the user's own scatterers."""
-    np.savetxt(tmp_path / "points.csv", np.random.default_rng(1).normal(0, 0.1, (50, 3)) * (1, 1, 0.01), delimiter=",")
+    write_points(tmp_path / "points.csv", np.random.default_rng(1).normal(0, (0.1, 0.1, 1e-3), (50, 3)))
     scene = tmp_path / "scene.xml"
     target = {"points": "points.csv", "roughness": None, "point_sources": None}
     scene.write_text(free_space(direction(35, 180), target=target, detector={"pixel_pitch": 0.03}), encoding="utf-8")

@@ -95,14 +95,14 @@ def _has_the_light(assembly: Assembly) -> bool:
 
 def _has_the_target(assembly: Assembly) -> bool:
     target = assembly.target
-    at_origin = np.linalg.norm(target.spot - target.frame.origin) < LENGTH
+    at_origin = np.linalg.norm(assembly.spot.point - target.frame.origin) < LENGTH
     return target.points is None and target.is_flat and bool(at_origin)
 
 
 def _has_the_camera(assembly: Assembly) -> bool:
     """Pixels as stated, square to the line of sight, their rows in the plane of incidence."""
     grid, frame = assembly.detector, assembly.target.frame
-    sight = grid.centre - assembly.target.spot
+    sight = grid.centre - assembly.spot.point
     return (
         grid.shape == PIXELS
         and _close(grid.pitch, PIXEL_PITCH)
@@ -114,7 +114,7 @@ def _has_the_camera(assembly: Assembly) -> bool:
 def _stands_as(published: PublishedAssembly, assembly: Assembly) -> bool:
     frame, grid = assembly.target.frame, assembly.detector
     to_laser = frame.axes.T @ -assembly.beam.axis
-    to_detector = frame.axes.T @ (grid.centre - assembly.target.spot)
+    to_detector = frame.axes.T @ (grid.centre - assembly.spot.point)
     distance = float(np.linalg.norm(to_detector))
     sides = []
     for direction in (to_laser, to_detector / distance):

@@ -15,14 +15,17 @@ from ..images.field_image import FieldImage, FieldImageError
 from ..machine.progress import progress_bars
 from ..measurement.correlator import Correlator
 from ..measurement.speckle_statistics import centre_of_gravity, contrast
+from ..field.simulation import plan_of
 from ..scene.assembly import Assembly
-from ..theory.displacement import project_on_target
 from ..version import __version__
+from .chief_ray import SeenAxes, axes_as_seen
 from .executor import Executor, FrameTask, InProcess
+from .expectation import on_all_axes
 from .sweep_result import REFERENCE, FrameRecord, SweepResult, SweepSettings
 
 _PENDING_WRITES = 8
 """Frames that may wait to be written: bounds the memory they take."""
+
 
 def tasks_of(settings: SweepSettings) -> list[FrameTask]:
     """The frames of a sweep: for every surface the one at rest, then those of each motion."""
@@ -57,6 +60,10 @@ def run_sweep(
     """
     tasks = tasks_of(settings)
     held = {task.name for task in tasks if resume and _is_finished(frames, task, assembly)}
+    seen = axes_as_seen(assembly, plan_of(assembly))
+    result.axes_as_seen = {"u": seen.u.tolist(), "v": seen.v.tolist()}
+    if seen.note:
+        result.warnings[seen.note] = len(tasks)
     made = (executor or InProcess(assembly)).results(task for task in tasks if task.name not in held)
     with _Writer(frames, result.writes) as writer, progress_bars(quiet) as progress:
         bar = progress.add_task("frames", total=len(tasks))
@@ -75,7 +82,7 @@ def run_sweep(
                 progress.advance(bar)
                 yield image.intensity, start
 
-        _correlate(assembly, settings, result, images())
+        _correlate(assembly, settings, result, images(), seen)
 
 
 class _Writer:
@@ -110,16 +117,23 @@ def _done() -> Future:
 
 
 def _correlate(
-    assembly: Assembly, settings: SweepSettings, result: SweepResult, images: Iterator[tuple[np.ndarray, float]]
+    assembly: Assembly,
+    settings: SweepSettings,
+    result: SweepResult,
+    images: Iterator[tuple[np.ndarray, float]],
+    seen: SeenAxes,
 ) -> None:
-    """Adds a record of every image to ``result``, measured against the one at rest of its surface."""
+    """Adds a record of every image to ``result``, measured against the one at rest of its surface.
+
+    seen: the detector's axes as the target sees them.
+    """
     for seed in settings.seeds:
         correlator = None
         for (dof, displacement, _), (intensity, start) in zip(_frames_of_surface(settings, seed), images, strict=False):
             if dof == REFERENCE:
                 correlator = Correlator(intensity, settings.window)
                 result.example = intensity if result.example is None else result.example
-            result.records.append(_record(dof, displacement, seed, correlator, intensity, assembly, start))
+            result.records.append(_record(dof, displacement, seed, correlator, intensity, assembly, seen, start))
 
 
 def _is_finished(frames: Path, task: FrameTask, assembly: Assembly) -> bool:
@@ -137,21 +151,26 @@ def _is_finished(frames: Path, task: FrameTask, assembly: Assembly) -> bool:
 
 
 def _record(
-    dof: str, displacement: float, seed: int, correlator: Correlator, intensity: np.ndarray, assembly: Assembly, start: float
+    dof: str,
+    displacement: float,
+    seed: int,
+    correlator: Correlator,
+    intensity: np.ndarray,
+    assembly: Assembly,
+    seen: SeenAxes,
+    start: float,
 ) -> FrameRecord:
-    grid = assembly.detector
-    pixel = 1e3 * grid.pitch
+    pixel = 1e3 * assembly.detector.pitch
     shift = correlator.shift(intensity)
-    along = np.array([[shift.u_px], [shift.v_px]]) * pixel
-    x, y = project_on_target(along, grid.u, grid.v, assembly.target.frame.axes)[:, 0]
+    u, v, x, y = on_all_axes(np.array([[shift.u_px], [shift.v_px]]) * pixel, assembly, seen)[:, 0]
     cog = np.array(centre_of_gravity(intensity)) * pixel
     return FrameRecord(
         dof=dof,
         displacement=displacement,
         unit="deg" if dof in DEGREES_OF_FREEDOM and is_rotation(dof) else "mm",
         seed=seed,
-        shift_u_um=float(along[0, 0]),
-        shift_v_um=float(along[1, 0]),
+        shift_u_um=float(u),
+        shift_v_um=float(v),
         shift_x_um=float(x),
         shift_y_um=float(y),
         ncc=shift.ncc,

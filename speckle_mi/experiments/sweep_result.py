@@ -43,13 +43,17 @@ class FrameRecord:
 
 @dataclass
 class SweepResult:
-    """All frames of a sweep in the order they were made, and what was noticed on the way."""
+    """All frames of a sweep in the order they were made, and what was noticed on the way.
+
+    axes_as_seen: the detector's axes u, v as the target sees them, on which shifts along x and y rest.
+    """
 
     records: list[FrameRecord] = field(default_factory=list)
     stages: list[dict] = field(default_factory=list)
     numerical_error: float = 0.0
     warnings: dict[str, int] = field(default_factory=dict)
     example: np.ndarray | None = None
+    axes_as_seen: dict[str, list[float]] = field(default_factory=dict)
     writes: list[Future] = field(default_factory=list)
 
     def note(self, header: dict) -> None:

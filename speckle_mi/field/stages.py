@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
@@ -76,7 +77,7 @@ def channel_field(
         targets = _next_targets(channel, number, grid)
         try:
             nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, tolerance)
-        except ValueError as error:
+        except InputError as error:
             raise SceneError(
                 f"opening {rim.name!r}: {error}; "
                 "put a smaller stop, or set diffraction to false where there is no focus"
@@ -191,7 +192,7 @@ def _summed(channel: Channel, path, *arguments) -> SumResult:
     """The coherent sum; where a traced path finds no ray, SceneError that says on which way and what to do."""
     try:
         return coherent_sum(path, *arguments)
-    except ValueError as error:
+    except InputError as error:
         if not isinstance(path, TracedLeg):
             raise
         raise SceneError(

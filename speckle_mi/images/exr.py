@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
 import OpenEXR
@@ -15,6 +11,7 @@ import numpy as np
 
 from ..machine.files import replacing
 from ..machine.memory import excess
+from .exr_layout import damage
 from .field_image import FieldImage, FieldImageError
 
 _DETAILS = "speckle_mi"
@@ -51,15 +48,17 @@ def write_field(path: str | os.PathLike, image: FieldImage, layers: dict[str, np
 
 
 def read_field(path: str | os.PathLike) -> FieldImage:
-    """Reads a field image. Raises FieldImageError with one line that says what is wrong with the file."""
+    """Reads a field image. Raises FieldImageError with one line that says what is wrong with the file.
+
+    Of a damaged file of compressed pixels, which ours are not, OpenEXR itself prints more to stderr.
+    """
     path = Path(path)
     if not path.is_file():
         what = "is not a file" if path.exists() else "there is no such file"
         raise FieldImageError(f"{path}: {what}, must be an image")
     if not is_exr(path):
         raise FieldImageError(f"{path}: not an OpenEXR file")
-    with _library_muted():
-        channels, attributes = _read(path)
+    channels, attributes = _read(path)
     complex_field = None
     if "E.re" in channels and "E.im" in channels:
         complex_field = channels["E.re"].astype(np.complex64)
@@ -88,18 +87,19 @@ def read_header(path: str | os.PathLike) -> dict:
     path = Path(path)
     if not path.is_file() or not is_exr(path):
         raise FieldImageError(f"{path}: not an OpenEXR file")
-    with _library_muted():
-        try:
-            with OpenEXR.File(str(path), header_only=True) as file:
-                attributes = dict(file.header())
-        except Exception as error:
-            raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            attributes = dict(file.header())
+    except Exception as error:
+        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
     return _header(attributes)
 
 
 def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
     """Pixels of every channel, and the attributes of the header."""
     _check_size(path)
+    if what := damage(path):
+        raise FieldImageError(f"{path}: cannot be read, {what}")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for name, channel in file.channels().items()}
@@ -108,28 +108,6 @@ def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
         raise FieldImageError(
             f"{path}: cannot be read, the file is damaged or cut short ({_first_line(error)})"
         ) from None
-
-
-@contextmanager
-def _library_muted() -> Iterator[None]:
-    """Keeps OpenEXR's own messages, which it prints besides raising an error, from standard output and error."""
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            stream.flush()
-    kept = [(number, os.dup(number)) for number in (1, 2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for number, _ in kept:
-            os.dup2(nowhere, number)
-        with redirect_stdout(None):  # its Python side prints too
-            yield
-    finally:
-        if sys.platform != "win32":
-            ctypes.CDLL(None).fflush(None)  # what the library has written but not yet sent
-        for number, copy in kept:
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(nowhere)
 
 
 def _check_size(path: Path) -> None:

@@ -76,7 +76,10 @@ def scratch_folder() -> Iterator[Path]:
     """A folder that vanishes with the block, or with the process."""
     import tempfile
 
-    with tempfile.TemporaryDirectory(prefix="speckle_mi-") as name:
+    from .fragments import fragment_name, remove_abandoned
+
+    remove_abandoned(tempfile.gettempdir())
+    with tempfile.TemporaryDirectory(prefix=f"{fragment_name('scratch')}-") as name:
         fragments.add(name)
         try:
             yield Path(name)

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from ..errors import InputError
 from .around_import import around_import, environment_unless_chosen
 
 OLDEST_LLVM = 19
@@ -21,7 +22,7 @@ OLDEST_LLVM = 19
 _VARIABLE = "DRJIT_LIBLLVM_PATH"
 
 
-class LLVMError(RuntimeError):
+class LLVMError(InputError):
     """No usable LLVM: the message says what to do."""
 
 

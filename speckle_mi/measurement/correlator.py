@@ -18,6 +18,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..errors import InputError
 from .ncc import Overlaps, Template
 from .peak import FEWEST_SPECKLES, PATCH, Peak, Texture, argmax, least_significant, most_significant, peak_at
 from .speckle_statistics import as_image, deviation
@@ -84,7 +85,7 @@ class Correlator:
 
     reference: (rows, columns) intensity. window: side of the square window at its middle [px], clipped to 5/8 of a
     shorter side of the image; without it 256, clipped on both sides alike and shrunk to where the light is: an edge of
-    the light stands still when the pattern moves, and would hold the peak back. Raises ValueError for pixels that are
+    the light stands still when the pattern moves, and would hold the peak back. Raises InputError for pixels that are
     not finite and for a window below 4 or larger than the image.
     """
 
@@ -92,7 +93,7 @@ class Correlator:
         image = as_image(reference, "reference image")
         self.shape = rows, columns = image.shape
         if window is not None and not 4 <= window <= max(self.shape):
-            raise ValueError(
+            raise InputError(
                 f"window = {window}: must be 4 to {max(self.shape)} px, the image has {columns} x {rows} pixels"
             )
         # A window asked for is kept on a side that holds it: larger shifts are then stage 2's.
@@ -118,11 +119,11 @@ class Correlator:
     def shift(self, moved: np.ndarray) -> Shift:
         """Shift of ``moved`` (rows, columns) from the reference.
 
-        Raises ValueError if its shape is not the reference's or its pixels are not finite.
+        Raises InputError if its shape is not the reference's or its pixels are not finite.
         """
         image = as_image(moved, "moved image")
         if image.shape != self.shape:
-            raise ValueError(f"moved image: shape {image.shape} differs from the reference image's {self.shape}")
+            raise InputError(f"moved image: shape {image.shape} differs from the reference image's {self.shape}")
         pattern = deviation(image)
         for name, values in (("reference", self._reference), ("moved", pattern)):
             if values is None:

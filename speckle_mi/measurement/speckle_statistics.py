@@ -12,6 +12,8 @@ import math
 import numpy as np
 from scipy import fft
 
+from ..errors import InputError
+
 FLAT = 1e-6
 """rms deviation, relative to the largest pixel, below which an image is constant: float32 rounding is 3e-8."""
 
@@ -22,20 +24,20 @@ LOBE_REACH = 2.5
 def as_image(image: np.ndarray, name: str = "image") -> np.ndarray:
     """``image`` as a float64 (rows, columns) array of finite pixels.
 
-    Raises ValueError, naming the image, if it is not two-dimensional, empty, complex or holds NaN or infinity.
+    Raises InputError, naming the image, if it is not two-dimensional, empty, complex or holds NaN or infinity.
     """
     array = np.asarray(image)
     if array.ndim != 2 or array.size == 0:
-        raise ValueError(f"{name}: shape {array.shape} is not an image, must be (rows, columns)")
+        raise InputError(f"{name}: shape {array.shape} is not an image, must be (rows, columns)")
     if np.iscomplexobj(array):
-        raise ValueError(f"{name}: complex pixels, give the intensity abs(field)**2")
+        raise InputError(f"{name}: complex pixels, give the intensity abs(field)**2")
     array = array.astype(np.float64)
     # One sum instead of a test a pixel: any NaN or infinity survives it.
     if not np.isfinite(array.sum()):
         bad = array.size - int(np.isfinite(array).sum())
         if bad:
-            raise ValueError(f"{name}: {bad} of {array.size} pixels are NaN or infinite, all must be finite")
-        raise ValueError(f"{name}: pixels up to {np.abs(array).max():.3g} overflow float64 sums, scale the image down")
+            raise InputError(f"{name}: {bad} of {array.size} pixels are NaN or infinite, all must be finite")
+        raise InputError(f"{name}: pixels up to {np.abs(array).max():.3g} overflow float64 sums, scale the image down")
     return array
 
 
@@ -60,7 +62,7 @@ def _in_range(image: np.ndarray) -> np.ndarray:
 def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
     """Centre of gravity (u, v) [px] of an intensity (rows, columns), relative to the image's middle.
 
-    NaN for an image without light. Raises ValueError for pixels that are not finite.
+    NaN for an image without light. Raises InputError for pixels that are not finite.
     """
     light = as_image(image)
     total = float(light.sum())
@@ -75,7 +77,7 @@ def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
 def contrast(intensity: np.ndarray) -> float:
     """Speckle contrast: rms deviation over mean, 1 for fully developed polarised speckle (Goodman, ch. 3).
 
-    intensity: (rows, columns). NaN for an image without light. Raises ValueError for pixels that are not finite.
+    intensity: (rows, columns). NaN for an image without light. Raises InputError for pixels that are not finite.
     """
     image = _in_range(as_image(intensity, "intensity"))
     mean = float(image.mean())
@@ -88,7 +90,7 @@ def autocovariance(intensity: np.ndarray) -> np.ndarray:
     intensity: (rows, columns). Returns (2 rows - 1, 2 columns - 1), zero lag in the middle. Each lag is the mean
     over the pixels that overlap, so its expectation does not fall off with the lag (it is low by
     1/speckle_count everywhere, because the mean is the image's own). All NaN for a constant image.
-    Raises ValueError for pixels that are not finite.
+    Raises InputError for pixels that are not finite.
     """
     image = as_image(intensity, "intensity")
     rows, columns = image.shape
@@ -144,7 +146,7 @@ def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
     """Speckle size (u, v) [px]: full width at half maximum of the normalised intensity autocovariance.
 
     intensity: (rows, columns). NaN along an axis on which the width exceeds a quarter of the image (there a mere
-    slope of brightness would pass for a speckle) and for a constant image. Raises ValueError for pixels that are
+    slope of brightness would pass for a speckle) and for a constant image. Raises InputError for pixels that are
     not finite.
     """
     covariance = autocovariance(intensity)
@@ -159,7 +161,7 @@ def speckle_count(intensity: np.ndarray) -> float:
 
     intensity: (rows, columns). The sum is taken over the central lobe, where the covariance is more than chance.
     NaN for a constant image or where the lobe reaches the image's edge, at least 1 otherwise.
-    Raises ValueError for pixels that are not finite.
+    Raises InputError for pixels that are not finite.
     """
     covariance = autocovariance(intensity)
     rows, columns = (covariance.shape[0] + 1) // 2, (covariance.shape[1] + 1) // 2

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.outline import Circle
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
@@ -120,7 +121,7 @@ def phase_gradient(
     """Bound on the phase gradient over a rim of all light from sources (n, 3) to targets (m, 3).
 
     before, after: openings that these lie on, None for the spot and the detector; safety: factor on what is sampled.
-    Raises ValueError where no ray leads over the rim.
+    Raises InputError where no ray leads over the rim.
     """
     samples = hole_places(rim.plane, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), 12)
     leading, trailing, end = _pieces(channel, rim, before, after)
@@ -132,7 +133,7 @@ def phase_gradient(
     leaving = k * (going.launch @ tangents).reshape(len(samples), 1, -1, 2)
     gradient = (arriving - leaving).reshape(len(samples), -1, 2)
     if not np.isfinite(gradient).any():
-        raise ValueError("no ray leads over it from the spot to the detector")
+        raise InputError("no ray leads over it from the spot to the detector")
     outline = rim.plane.outline
     if not isinstance(outline, Circle):
         bound = safety * np.nanmax(np.abs(gradient), axis=(0, 1))
@@ -168,7 +169,7 @@ def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], 
             channel, rim, before, after, _ends(channel, before, spots), _ends(channel, after, None),
             setup.assembly.beam.wavelength, 1.0,
         )  # fmt: skip
-    except ValueError:
+    except InputError:
         return False
     return estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) <= AFFORDABLE_NODES
 
@@ -328,7 +329,10 @@ def _curvature(rim: Rim, leading, trailing, end, source: np.ndarray, target: np.
     length = aim(Sequence((*leading, rim.end)), np.broadcast_to(source, places.shape), places).optical_path_length
     length = length + aim(Sequence((*trailing, end)), places, np.broadcast_to(target, places.shape)).optical_path_length
     second = [(length[k] + length[k + 1] - 2 * length[0]) / step**2 for k in (1, 3)]
-    return float(np.nanmin(np.abs(second))) if np.any(np.isfinite(second)) else 0.0
+    if np.all(np.isfinite(second)):
+        return float(np.min(np.abs(second)))
+    # Where what lies close by lets no ray through aside, the nearer of the two ends tells how waves spread.
+    return float(1 / max(np.linalg.norm(hit - source), 1e-12) + 1 / max(np.linalg.norm(target - hit), 1e-12))
 
 
 def _rim_points(rim: Rim, count: int) -> np.ndarray:

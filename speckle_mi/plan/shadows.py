@@ -231,6 +231,7 @@ class _Part:
         aimed = aim(sequence, sources, targets)
         launch = np.where(aimed.converged[:, None], aimed.launch, targets - sources)
         points = trace(sequence, sources, launch).points
+        points[:, ~aimed.converged] = np.nan  # no ray, which nothing stands in the way of
         return np.concatenate([sources[None], points]), np.where(aimed.converged, aimed.margins, -1.0)
 
     def shapes_beside(self, setup: Setup, points: np.ndarray, clear: float = 0.0) -> list[str]:

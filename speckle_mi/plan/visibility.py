@@ -88,7 +88,7 @@ def unblocked(setup: Setup, touched: tuple[int, ...], points: np.ndarray, clear:
     """
     free = np.ones(points.shape[1], dtype=bool)
     for one, two, start, end in zip(touched, touched[1:], points, points[1:], strict=False):
-        for aside in _across((end - start).mean(axis=0), clear):
+        for aside in _across(np.nanmean(end - start, axis=0), clear):
             free &= _segment_free(setup, one, two, start + aside, end + aside)
     return free
 
@@ -127,7 +127,7 @@ def _beside(
     setup: Setup, one: int, two: int, start: np.ndarray, end: np.ndarray, clear: float = 0.0
 ) -> list[int]:
     """Numbers of what lies in the box around segments from start to end (n, 3) but at neither end."""
-    low, high = (f(np.minimum(start, end) if f is np.min else np.maximum(start, end), axis=0) for f in (np.min, np.max))
+    low, high = np.fmin.reduce(np.fmin(start, end)), np.fmax.reduce(np.fmax(start, end))
     bounds = {n: element.body.bounds for n, element in enumerate(setup.assembly.elements) if n not in (one, two)}
     if setup.assembly.target.points is None and TARGET not in (one, two):
         bounds[TARGET] = _target_bounds(setup)

@@ -12,16 +12,16 @@ from functools import cached_property
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..machine.cores import products_on_one_thread
 from .area import Area, points_at
 from .bandlimited import NodeGrid, band_limited_sum, node_grid, reach_of
-from .costs import Costs, costs_of
+from .costs import RECORDED, Costs
 from .direct import SINGLE_PRECISION, direct_sum, supports
 from .interpolated import interpolated
-from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
+from .lowrank import LARGEST_TABLE, SpotPart, expand_in_parts, low_rank_sum
 from .paths import Path
-from .phasors import active_variant
 from .reference import Sample, reference_sum
 from .runs import Extent
 from .source_box import SourceBox
@@ -46,11 +46,29 @@ MOST_PARTS = 256
 POINTS_AT_ONCE = 1 << 20
 """Points of the target for which an expansion is evaluated at once."""
 
+FEW_NODES = 0.7
+"""Nodes a point of the target below which the field is summed on nodes and carried from them to the points.
+
+By the recorded costs a sum of rank 6 gains from that up to 0.9 nodes a point, and the sum over all pairs up to 0.4,
+as a pair at scattered nodes costs twice one on a grid; between the two either way takes about as long."""
+
+DOUBLE_PRECISION = 3.0
+"""Times longer that the sum over pairs takes where its angles have to be float64: for tolerances below float32's."""
+
+SECOND_TRY = 0.03
+"""Share of the tolerance that the sums are tried with again, once all have missed it."""
+
+LEAST_ASKED = 1e-9
+"""Tolerance that no sum is asked to go below: rounding of paths of 10^6 wavelengths is near."""
+
+SHARE_OF_PATH = 1 / 20
+"""Of the tolerance, what a series that stands for a path may add to it: nothing that counts beside the sum's own."""
+
 ACCEPTED_SHARE = 0.7
 """Share of the tolerance up to which a measured error is accepted: a few tens of points know it to about 20 %."""
 
-SAMPLED_PAIRS = 10_000_000
-"""Pairs spent on measuring the error, as far as between 8 and 64 sampled points allow."""
+SAMPLED_PAIRS, SAMPLED_POINTS = 10_000_000, (8, 64)
+"""Pairs spent on measuring the error, as far as fewest and most sampled points allow."""
 
 KERNEL_PAIRS = 100_000
 """Pairs of that sample from which the kernel is worth its launch; fewer are summed in NumPy."""
@@ -145,12 +163,14 @@ def coherent_sum(
     wavelength: float,
     method: str = "auto",
     tolerance: float = 1e-4,
+    costs: Costs = RECORDED,
 ) -> SumResult:
     """E_m = sum_j c_j A(P_j, D_m) e^{+ikV(P_j, D_m)} on all points of the target.
 
     sources: (n, 3) [mm]; weights c: (n,) complex; wavelength [mm]. method: ``direct`` takes every pair (for a path
     without closed form: the expansion at its tightest), ``fast`` the cheapest of the others, ``auto`` the cheapest of
-    all. tolerance: relative L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; what misses it is replaced.
+    all. tolerance: relative L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; what misses it is replaced. costs:
+    what the choice rests on; who sums on a graphics card measures them there once (``costs_of``) and hands them over.
     Raises ValueError for arrays of the wrong shape, values that are not finite, parameters out of range, and a source
     that lies on a point of the target.
     """
@@ -165,14 +185,14 @@ def coherent_sum(
     task = Task(path, sources, weights, target, wavelength, tolerance).with_cheap_path()
     if method == "direct" and supports(path):
         return task.result(task.every_pair(), ASKED)
-    return _first_that_holds(task, costs_of(active_variant()), with_pairs=method == "auto")
+    return _first_that_holds(task, costs, with_pairs=method == "auto")
 
 
 def _first_that_holds(task: Task, costs: Costs, with_pairs: bool) -> SumResult:
     """The result of the cheapest candidate that keeps the tolerance; every pair is the last resort."""
     missed: list[tuple[str, float]] = []
-    for share in (1.0, 0.03):
-        candidates = replace(task, tolerance=max(share * task.tolerance, 1e-9)).candidates(costs, with_pairs)
+    for share in (1.0, SECOND_TRY):
+        candidates = replace(task, tolerance=max(share * task.tolerance, LEAST_ASKED)).candidates(costs, with_pairs)
         for i, candidate in enumerate(candidates):
             slower = tuple(other.how.kind for other in candidates[i + 1 :])
             result = task.result(candidate, FASTEST if slower else ONLY, slower, missed)
@@ -205,7 +225,7 @@ class Task:
         """The same with a path without closed form replaced by its series, where it has one."""
         if supports(self.path):
             return self
-        series = interpolated(self.path, self.box, self.target, self.wavelength, self.tolerance / 20)
+        series = interpolated(self.path, self.box, self.target, self.wavelength, SHARE_OF_PATH * self.tolerance)
         return self if series is None else replace(self, path=series, path_error=series.error)
 
     @cached_property
@@ -227,9 +247,9 @@ class Task:
         count, shape = len(self.sources), _shape(self.target)
         interpolation = costs.interpolation(self.nodes.count, shape if len(shape) == 2 else (shape[0], 1))
         all_pairs = np.inf
-        few_nodes = self.nodes.size < 0.7 * self.target.size
+        few_nodes = self.nodes.size < FEW_NODES * self.target.size
         if supports(self.path):
-            slow_down = 1 if self.tolerance >= SINGLE_PRECISION else 3
+            slow_down = 1.0 if self.tolerance >= SINGLE_PRECISION else DOUBLE_PRECISION
             all_pairs = slow_down * count * self.target.size * costs.grid_pair
             if with_pairs:
                 found.append(replace(self.every_pair(), seconds=all_pairs))
@@ -250,7 +270,7 @@ class Task:
                 found.append(self._expanded(parts, costs, few_nodes, interpolation))
         return sorted(found, key=lambda candidate: candidate.seconds)
 
-    def _expanded(self, parts: list[Part], costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
+    def _expanded(self, parts: list[SpotPart], costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
         def low_rank(places: PlanePoints) -> np.ndarray:
             return sum(
                 low_rank_sum(part.expansion, self.sources[part.members], self.weights[part.members], places)
@@ -302,9 +322,9 @@ class Task:
         with np.errstate(divide="ignore", invalid="ignore"):  # told below
             field = candidate.field()
         flat = field.reshape(-1)
-        sample = Sample.of(flat, int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64)))
+        sample = Sample.of(flat, int(np.clip(SAMPLED_PAIRS // len(self.sources), *SAMPLED_POINTS)))
         if not np.isfinite(sample.mean_square):
-            raise ValueError("a source lies on a point of the target: the field is infinite there, move one of the two")
+            raise InputError("a source lies on a point of the target: the field is infinite there, move one of the two")
         places = points_at(self.target, sample.index)
         if supports(self.path) and places.size * len(self.sources) > KERNEL_PAIRS:
             # In float64 throughout: the float32 angles of the sum that is judged must not judge themselves.

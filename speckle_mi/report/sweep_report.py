@@ -54,6 +54,7 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
     lost = sum(record.status != "ok" for record in result.records)
     return {
         "axes": {"u": grid.u.tolist(), "v": grid.v.tolist()},
+        "axes_as_seen": result.axes_as_seen,
         "target_axes": {name: assembly.target.frame.axes[:, k].tolist() for k, name in enumerate("xyz")},
         "plan": [str(Stage.from_json(stage)) for stage in result.stages],
         "stages": result.stages,

@@ -13,11 +13,13 @@ from dataclasses import dataclass, field
 import drjit as dr
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.frames import Frame
 from ..machine.backend import arrays, opaque, opaque_vector
 from . import hashing
 from .beam import Beam, BeamKernel
 from .facets import Facets
+from .footprint import footprint_bounds
 
 MAX_CELLS = 100_000_000
 """Most cells that one frame may look at (about 5 GB of memory at the peak)."""
@@ -124,7 +126,7 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     pitch = surface.density**-0.5
     lower, upper = facets.bounds[:, 0::2].copy(), facets.bounds[:, 1::2].copy()
     if np.isfinite(beam.radius):
-        centre, half = _footprint(facets, beam, frame)
+        centre, half = footprint_bounds(facets, beam, frame)
         lower, upper = np.fmax(lower, centre - half), np.fmin(upper, centre + half)
     meets = np.all(upper > lower, axis=1)
     first = np.floor(lower[meets] / pitch)
@@ -132,7 +134,7 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     count = np.prod(size, axis=1)
     total = float(np.sum(count))
     if total > MAX_CELLS:
-        raise ValueError(
+        raise InputError(
             f"the target's scatterers: about {total:.2g} lie under the beam or on the patch "
             f"(some {total * 50 / 1e9:.3g} GB), must be at most {MAX_CELLS:.0e}: reduce point_sources or the lit area"
         )
@@ -140,33 +142,6 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     return _Cells(
         np.flatnonzero(meets), first.astype(np.int64), size.astype(np.int64), start.astype(np.int64), int(total)
     )
-
-
-def _footprint(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """Centre (f, 2) and half-widths (f, 2) [mm] of the beam's elliptic footprint in each facet's coordinates.
-
-    A point c + a e1 + b e2 lies within the radius R of the axis where (a, b) M (a, b)^T <= R^2 with
-    M = E^T (1 - b b^T) E; its bounding box has the half-widths R sqrt(diag(M^-1)). Where the beam grazes
-    the facet they are infinite.
-    """
-    axis = frame.axes.T @ beam.axis
-    reference = frame.to_local(beam.reference[None])[0]
-    basis = np.stack([facets.e1, facets.e2], axis=-1)  # (f, 3, 2)
-    along = np.einsum("k,fkc->fc", axis, basis)
-    metric = np.eye(2) - along[:, :, None] * along[:, None, :]
-    # The nearest approach of the axis to the facet's plane, by least squares:
-    # M s = E^T (1 - b b^T) (reference - origin).
-    offset = reference - facets.origin
-    offset = offset - (offset @ axis)[:, None] * axis
-    right = np.einsum("fk,fkc->fc", offset, basis)
-    determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = np.stack([metric[:, 1, 1], metric[:, 0, 0]], axis=1) / determinant[:, None]
-        crossed = -metric[:, 0, 1] / determinant
-        centre = inverse * right + crossed[:, None] * right[:, ::-1]
-        half = beam.cutoff * np.sqrt(inverse)
-    grazing = determinant < 1e-12
-    return np.where(grazing[:, None], 0.0, centre), np.where(grazing[:, None], np.inf, half)
 
 
 class SurfaceScatterers:
@@ -303,7 +278,7 @@ class PlacedScatterers:
         to_source, real, imaginary = kernel.evaluate(position)
         lit = material.inside & (dr.dot(to_source, normal) > 0)
         if np.isfinite(beam.radius):
-            lit &= kernel.across_squared(mean) <= kernel.cutoff * kernel.cutoff
+            lit &= kernel.within(mean)
         # Everything is computed for all cells at once in one kernel; then those under the beam are picked.
         amplitude = lanes.Array2f64(real, imaginary)
         curved = facets.count > 1

@@ -16,6 +16,7 @@ from ..geometry.plane import PlaneGrid
 from ..geometry.pose import Pose
 from ..machine.fingerprint import fingerprint
 from ..scattering.beam import Beam
+from ..scattering.footprint import mean_plane_normal
 from ..scattering.rough_surface import PointScatterers, RoughSurface
 from .body import Body
 from .elements import Element
@@ -59,7 +60,10 @@ class Target:
 
 @dataclass(frozen=True)
 class Spot:
-    """Middle of what scatters: point (3,) [mm] and unit normal (3,) of the surface there, world."""
+    """Middle of what scatters: point (3,) [mm] and unit normal (3,), world, of the surface that is lit there.
+
+    On a mesh the normal is that of the plane which fits the facets under the beam best.
+    """
 
     point: np.ndarray
     normal: np.ndarray
@@ -115,7 +119,11 @@ class Assembly:
             return Spot(frame.to_world(target.points.points.mean(axis=0)[None])[0], frame.axes[:, 2])
         met = target.surface.facets.first_met(frame, self.beam.origin, self.beam.axis)
         if met is not None:
-            return Spot(*met)
+            point, normal = met
+            if not target.is_flat:
+                mean = mean_plane_normal(target.surface.facets, self.beam, frame, point)
+                normal = normal if mean is None else mean
+            return Spot(point, normal)
         rest = target.surface.facets.first_met(target.frame, self.beam.origin, self.beam.axis)
         # Beside the surface its own plane stands for it.
         point, normal = rest if rest is not None else (target.frame.origin, target.frame.axes[:, 2])

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
+
+_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+"""Mitsuba allows two hyphens in one, as in the flag of a command, XML does not."""
 
 DEEPEST = 15
 """Files included in one another, as many as Mitsuba follows."""
@@ -65,7 +69,7 @@ def _look_through(text: bytes, folders: list[Path], source: SceneSource, depth: 
     parser = expat.ParserCreate()
     parser.StartElementHandler = element
     try:
-        parser.Parse(text, True)
+        parser.Parse(_COMMENT.sub(b"", text), True)
     except expat.ExpatError as error:
         raise NotReadable(str(error)) from error
 

@@ -6,7 +6,7 @@ from rich.console import Console
 
 from ...machine.run_times import duration
 from ...report.terminal import print_table
-from .study import Entry
+from .sums import Entry
 
 
 def print_sums(console: Console, shape: tuple[int, int], entries: list[Entry]) -> None:

@@ -12,7 +12,8 @@ from ...machine.files import replacing, write_json
 from ...report.terminal import print_machine, print_table, terminal
 from .frame import DOES_NOT_APPLY, LEFT_OUT, MEASURED, Row
 from .scatter import Scatter
-from .study import Study
+from .study import Findings
+from .subject import Subject
 
 
 def write_rows(path: str | os.PathLike, rows: list[Row]) -> None:
@@ -24,34 +25,33 @@ def write_rows(path: str | os.PathLike, rows: list[Row]) -> None:
             writer.writerow({name: "" if value is None else value for name, value in asdict(row).items()})
 
 
-def write_study(
-    path: str | os.PathLike, asked: dict, study: Study, rows: list[Row], scatter: list[Scatter], run: dict
-) -> None:
+def write_findings(path: str | os.PathLike, asked: dict, found: Findings, run: dict) -> None:
     """Writes as JSON what was ``asked`` (scene, defaults), all that was measured, and its ``run`` (machine, time)."""
+    subject = found.subject
     write_json(path, {
-        **asked, "plan": study.plan_lines,
-        "displacement": {"dof": "x", "mm": study.displacement}, "theory_shift_um": study.theory_shift,
-        "exact": {n: {"pixels": s.field.size, "scatterers": s.scatterers, "origin": s.origin, "seconds": s.seconds}
-                  for n, s in study.samples.items() if s is not None},
-        "rows": [asdict(row) for row in rows], "statistics": [asdict(entry) for entry in scatter],
+        **asked, "plan": list(subject.plan.lines),
+        "displacement": {"dof": "x", "mm": subject.displacement}, "theory_shift_um": subject.theory_shift,
+        "exact": {n: {"pixels": e.field.size, "scatterers": e.scatterers, "origin": e.origin, "seconds": e.seconds}
+                  for n, e in found.exact.items() if e is not None},
+        "rows": [asdict(row) for row in found.rows], "statistics": [asdict(entry) for entry in found.scatter],
         **run,
     })  # fmt: skip
 
 
-def print_report(study: Study, rows: list[Row], scatter: list[Scatter], system: dict[str, str]) -> None:
+def print_report(found: Findings, system: dict[str, str]) -> None:
     """Prints the table of what was measured, what was left out, the scatter over surfaces, and the machine."""
-    console = terminal()
-    for line in study.plan_lines:
+    console, subject = terminal(), found.subject
+    for line in subject.plan.lines:
         console.print(f"plan: {line}")
     heads = ("N1", "method", "tol. or N2", "field", "phase (waves)", "shift (um)", "- theory", "frame (ms)",
              "quartiles", "runs", "first", "MB")  # fmt: skip
-    title = f"{study.name}: errors of field, phase and shift; warm and first run times; peak memory"
-    shown = [_cells(row) for row in rows if row.status == MEASURED]
+    title = f"{subject.name}: errors of field, phase and shift; warm and first run times; peak memory"
+    shown = [_cells(row) for row in found.rows if row.status == MEASURED]
     print_table(console, heads, shown, title=title, left=(1, 2), group_by=0)
-    for words in _notes(rows):
+    for words in _notes(found.rows):
         console.print(words)
-    _print_exact(console, study)
-    _print_scatter(console, scatter, study)
+    _print_exact(console, found)
+    _print_scatter(console, found.scatter, subject)
     print_machine(console, system)
 
 
@@ -87,16 +87,17 @@ def _notes(rows: list[Row]) -> list[str]:
     return lines + sorted({f"{row.method}: {row.note}" for row in rows if row.status == MEASURED and row.note})
 
 
-def _print_exact(console, study: Study) -> None:
-    held = [f"N1 = {n:,}: {s.field.size} pixels, {s.origin}" for n, s in study.samples.items() if s is not None]
+def _print_exact(console, found: Findings) -> None:
+    subject = found.subject
+    held = [f"N1 = {n:,}: {e.field.size} pixels, {e.origin}" for n, e in found.exact.items() if e is not None]
     console.print("errors of field and phase against: " + "; ".join(held))
-    theory = "none" if study.theory_shift is None else "({:.3f}, {:.3f}) um".format(*study.theory_shift)
-    moved = f"shift: target moved {1e3 * study.displacement:.3g} um along x, first-order theory {theory}"
+    theory = "none" if subject.theory_shift is None else "({:.3f}, {:.3f}) um".format(*subject.theory_shift)
+    moved = f"shift: target moved {1e3 * subject.displacement:.3g} um along x, first-order theory {theory}"
     console.print(f'{moved}; errors against the most exact frames of each N1 ("exact"), and from theory, '
                   "which one surface only scatters about")  # fmt: skip
 
 
-def _print_scatter(console, scatter: list[Scatter], study: Study) -> None:
+def _print_scatter(console, scatter: list[Scatter], subject: Subject) -> None:
     if not scatter:
         return
     heads = ("motion", "axis", "N1", "surfaces", "mean", "theory", "one surface ±", "mean ±")
@@ -112,7 +113,7 @@ def _print_scatter(console, scatter: list[Scatter], study: Study) -> None:
         times = abs(e.off_theory) / e.error_of_mean
         words = f"off theory by {e.off_theory:+.2g} {e.unit}, {times:.1f} standard errors, more than chance explains"
         console.print(f"{e.dof}, N1 = {e.point_sources:,}: {words}")
-    for sentence in study.why_off_theory(off):
+    for sentence in subject.why_off_theory({e.dof for e in off}):
         console.print(sentence)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...machine.interrupt import scratch_folder
+from ...scene.write import write_points
 from .case import Case, compared, same_field, within
 from .scenes import WAVELENGTH, Bench, against_exact_sum
 
@@ -198,9 +199,7 @@ def _write_cap(path: Path, radius: float) -> None:
 def point_scatterers(points) -> Iterator[str]:
     """A CSV file of scatterers for the length of a block."""
     with scratch_folder() as folder:
-        path = folder / "points.csv"
-        path.write_text("\n".join(",".join(map(repr, map(float, point))) for point in points) + "\n", encoding="ascii")
-        yield str(path)
+        yield str(write_points(folder / "points.csv", points))
 
 
 def _only(path: str) -> dict:
