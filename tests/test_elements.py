@@ -116,7 +116,7 @@ def test_rays_inside_the_diameter_meet_front_and_back_near_the_analytic_surfaces
 )
 def test_aperture_mesh_is_a_disc_without_its_hole(form, area):
     aperture = mi.load_dict({"type": "aperture", "to_world": PLACE} | form)
-    doubled = doubled_areas(triangles(aperture)) @ aperture.opening().frame.axes
+    doubled = doubled_areas(triangles(aperture)) @ aperture.element().faces[0].frame.axes
     assert np.all(doubled[:, 2] > 0)  # no face turned or folded over
     assert np.sum(doubled[:, 2]) / 2 == pytest.approx(area, rel=TESSELLATION)
     assert np.max(np.abs(doubled[:, :2])) < 1e-4 * np.max(doubled)
@@ -126,7 +126,7 @@ def test_aperture_mesh_is_a_disc_without_its_hole(form, area):
 def test_no_ray_inside_the_outline_of_an_aperture_is_blocked_and_those_beside_it_are(form):
     aperture = mi.load_dict({"type": "aperture", "to_world": PLACE} | form)
     scene = mi.load_dict({"type": "scene", "stop": aperture})
-    opening = aperture.opening()
+    opening = aperture.element().faces[0]
     theta = np.linspace(0, 2 * np.pi, 4001)
     edge = np.stack([np.cos(theta), np.sin(theta)])
     if "radius" in form:
@@ -181,7 +181,7 @@ def test_changed_parameters_take_effect():
     parameters = mi.traverse(aperture)
     parameters["radius"] = 2.0
     parameters.update()
-    assert aperture.opening().outline.radius == 2.0
+    assert aperture.element().faces[0].outline.radius == 2.0
     assert np.sum(doubled_areas(triangles(aperture))[:, 2]) / 2 == pytest.approx(np.pi * 96, rel=TESSELLATION)
     parameters["radius"] = 20.0
     with pytest.raises(ValueError, match="'outer_radius' is 10 mm, must be more than 20.0"):
