@@ -1,0 +1,585 @@
+"""The judge of random scenes: optics in plain NumPy that shares no code with the product.
+
+A *way* is a chain of legs and openings: source, faces, opening, faces, opening, ..., faces, detector. The ray of a leg
+from one point to another over given faces in given order is found by Newton's method on the launch direction (many
+starts, complex-step derivatives); its amplitude is that of its tube, sqrt(dOmega/dA), and every focal line that it
+crosses turns the phase by -pi/2. A leg without faces is the exact spherical wave. Openings are summed over by
+Rayleigh and Sommerfeld's first integral in the medium of index n,
+
+    U(D) = n/(i lambda) sum_Q w_Q U(Q) A(Q, D) e^{ikL(Q, D)} cos(chi) (1 + i/(n k r) in free space),
+
+one after the other, and the whole is done twice, the second time with half as many nodes again and a higher degree:
+the difference is the reference's own error. Lengths are mm, the phasor is e^{+ikL}, a mirror reflects with +1.
+
+Convention: opaque things cast geometric shadows; only openings (and rims given as openings) diffract.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import eval_jacobi, eval_legendre, roots_legendre
+
+STEP = 1e-30
+"""Of a complex step: derivatives to the last place."""
+
+MOST_PAIRS = 1.2e7
+"""Pairs of points in one sum that the reference affords (about a second)."""
+
+
+class NoReference(ValueError):
+    """The reference cannot tell: no ray or several, a focal line in an opening, or too many nodes."""
+
+
+@dataclass(frozen=True)
+class Face:
+    """Conic of revolution c (x^2 + y^2 + (1 + k) z^2)/2 = z, the sheet at its vertex; axes' columns are local x, y, z.
+
+    before, after: indices along the light, after None: a mirror. reach: half-width [mm] within which light may hit.
+    """
+
+    vertex: np.ndarray
+    axes: np.ndarray
+    curvature: float = 0.0
+    conic: float = 0.0
+    before: float = 1.0
+    after: float | None = 1.0
+    reach: float = 1e9
+    middle: tuple[float, float] = (0.0, 0.0)
+
+    def points(self, uv):
+        """World points (m, 3) at local x, y (m, 2)."""
+        c, square = self.curvature, (uv**2).sum(-1)
+        z = c * square / (1 + np.sqrt(1 - (1 + self.conic) * c * c * square))
+        return self.vertex + np.concatenate([uv, z[:, None]], -1) @ self.axes.T
+
+    def normals(self, points):
+        """Unit normals (m, 3), along the local +z at the vertex."""
+        q = (points - self.vertex) @ self.axes
+        c = self.curvature
+        g = np.stack([-c * q[..., 0], -c * q[..., 1], 1 - c * (1 + self.conic) * q[..., 2]], -1)
+        return (g / _length(g)[..., None]) @ self.axes.T
+
+
+def lens_faces(vertex, axes, radius1, radius2, thickness, index, conic1=0.0, conic2=0.0, outside=1.0, reach=1e9):
+    """Front and back of a lens whose axis is axes[:, 2], from its front vertex; the light comes along the axis."""
+    axes, vertex = np.asarray(axes, float), np.asarray(vertex, float)
+    c1, c2 = (1 / r if r else 0.0 for r in (radius1, radius2))
+    back = vertex + thickness * axes[:, 2]
+    return [
+        Face(vertex, axes, c1, conic1, outside, index, reach),
+        Face(back, axes, c2, conic2, index, outside, reach),
+    ]
+
+
+def ball_faces(centre, radius, along, index, outside=1.0):
+    """Front and back half of a ball that light crosses roughly ``along``."""
+    axes, centre = frame_along(along), np.asarray(centre, float)
+    return [
+        Face(centre - radius * axes[:, 2], axes, 1 / radius, 0.0, outside, index, 0.98 * radius),
+        Face(centre + radius * axes[:, 2], axes, -1 / radius, 0.0, index, outside, 0.98 * radius),
+    ]
+
+
+def frame_along(z, x_hint=(1.0, 0.0, 0.0)):
+    """(3, 3) right-handed axes whose third column is ``z``."""
+    z = np.asarray(z, float) / np.linalg.norm(z)
+    x = np.asarray(x_hint, float) - np.dot(x_hint, z) * z
+    if np.linalg.norm(x) < 0.1:
+        x = np.cross([0.0, 1.0, 0.0], z)
+    x = x / np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], 1)
+
+
+# Rays
+
+
+def _length(v):
+    return np.sqrt((v * v).sum(-1))
+
+
+def _dot(a, b):
+    return (a * b).sum(-1)
+
+
+def _hit(face, p, d):
+    """Distance (m,) along rays to the sheet at the vertex; complex allowed."""
+    q, e = (p - face.vertex) @ face.axes, d @ face.axes
+    c, g = face.curvature, 1 + face.conic
+    if c == 0:
+        return -q[..., 2] / e[..., 2]
+    a = 0.5 * c * (e[..., 0] ** 2 + e[..., 1] ** 2 + g * e[..., 2] ** 2)
+    b = c * (q[..., 0] * e[..., 0] + q[..., 1] * e[..., 1] + g * q[..., 2] * e[..., 2]) - e[..., 2]
+    k = 0.5 * c * (q[..., 0] ** 2 + q[..., 1] ** 2 + g * q[..., 2] ** 2) - q[..., 2]
+    disc = b * b - 4 * a * k
+    root = np.sqrt(np.where(disc.real < 0, np.nan, disc))
+    s = -0.5 * (b + np.where(b.real > 0, 1.0, -1.0) * root)
+    one, two = k / s, np.where(np.abs(a) > 1e-300, s / np.where(a == 0, 1, a), np.inf)
+    two = np.where(np.isfinite(two.real), two, 1e30)
+    z1, z2 = (q[..., 2] + one * e[..., 2]).real, (q[..., 2] + two * e[..., 2]).real
+    ok1, ok2 = 1 - g * c * z1 > 0, 1 - g * c * z2 > 0
+    first = np.where(ok1 & ok2, np.abs(z1) <= np.abs(z2), ok1)
+    return np.where(ok1 | ok2, np.where(first, one, two), np.nan)
+
+
+def trace(p, d, faces):
+    """Last point, last direction, optical length, and (distance, point, direction after) of every face."""
+    length, history = 0 * d[..., 0], []
+    for face in faces:
+        t = _hit(face, p, d)
+        p = p + t[..., None] * d
+        length = length + face.before * t
+        n = face.normals(p)
+        cosine = _dot(d, n)
+        if face.after is None:
+            d = d - 2 * cosine[..., None] * n
+        elif face.after != face.before:
+            eta = face.before / face.after
+            square = 1 - eta * eta * (1 - cosine * cosine)
+            out = np.sqrt(np.where(square.real < 0, np.nan, square)) * np.where(cosine.real > 0, 1.0, -1.0)
+            d = eta * d + (out - eta * cosine)[..., None] * n
+        history.append((t, p, d))
+    return p, d, length, history
+
+
+def _across(d):
+    hint = np.where(np.abs(d[..., :1]) < 0.7, np.array([1.0, 0, 0]), np.array([0, 1.0, 0]))
+    a = hint - d * _dot(hint, d)[..., None]
+    a = a / _length(a)[..., None]
+    return a, np.cross(d, a)
+
+
+def _turned(d, a, b, x, y):
+    moved = d + x[..., None] * a + y[..., None] * b
+    return moved / _length(moved)[..., None]
+
+
+def _arrival(origin, d, faces, goal):
+    p = trace(origin, d, [*faces, goal])[0]
+    return ((p - goal.vertex) @ goal.axes)[..., :2]
+
+
+def _newton(origin, faces, goal, uv, d, steps=60):
+    """Launch directions (m, 3) of rays from origins (m, 3) that reach local places uv (m, 2) of ``goal``; residual."""
+    with np.errstate(all="ignore"):
+        miss = np.nan_to_num(_length(_arrival(origin, d, faces, goal) - uv), nan=np.inf, posinf=np.inf)
+        for _ in range(steps):
+            a, b = _across(d)
+            h = 1j * STEP
+            one = _arrival(origin + 0j, _turned(d + 0j, a, b, h + 0 * d[:, 0], 0j * d[:, 0]), faces, goal)
+            two = _arrival(origin + 0j, _turned(d + 0j, a, b, 0j * d[:, 0], h + 0 * d[:, 0]), faces, goal)
+            jacobian = np.nan_to_num(np.stack([one.imag, two.imag], -1) / STEP, nan=0.0, posinf=0, neginf=0)
+            residual = np.nan_to_num(one.real - uv, nan=0.0, posinf=0, neginf=0)
+            det = jacobian[:, 0, 0] * jacobian[:, 1, 1] - jacobian[:, 0, 1] * jacobian[:, 1, 0]
+            x = -(jacobian[:, 1, 1] * residual[:, 0] - jacobian[:, 0, 1] * residual[:, 1])
+            y = -(jacobian[:, 0, 0] * residual[:, 1] - jacobian[:, 1, 0] * residual[:, 0])
+            step = np.nan_to_num(np.stack([x, y], -1) / det[:, None], nan=0.0, posinf=0, neginf=0)
+            step = step * np.minimum(1, 0.3 / np.maximum(_length(step), 1e-300))[:, None]
+            open_ = np.ones(len(d), bool)
+            for scale in (1.0, 0.4, 0.1, 0.02):
+                trial = _turned(d, a, b, scale * step[:, 0], scale * step[:, 1])
+                value = np.nan_to_num(_length(_arrival(origin, trial, faces, goal) - uv), nan=np.inf, posinf=np.inf)
+                better = open_ & (value < miss)
+                d, miss = np.where(better[:, None], trial, d), np.where(better, value, miss)
+                open_ &= ~better
+                if not open_.any() or np.max(miss[open_]) < 1e-10:
+                    break
+            if not (~open_ & (miss > 1e-13)).any():
+                break
+    return d, miss
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Rays of pairs: optical length, amplitude sqrt(dOmega/dA), focal lines, cosine at the start, least margin."""
+
+    length: np.ndarray
+    amplitude: np.ndarray
+    focal_lines: np.ndarray
+    direction: np.ndarray
+
+
+def _roots(a, b, c, t):
+    """How many zeros of a s^2 + b s + c (whose zeros are real) lie in (0, t)."""
+    disc = np.maximum(b * b - 4 * a * c, 0)
+    q = -0.5 * (b + np.where(b > 0, 1.0, -1.0) * np.sqrt(disc))
+    one, two = np.where(a == 0, np.inf, q / a), np.where(q == 0, np.inf, c / q)
+    low = 1e-9 * np.maximum(t, 1e-6)
+    return ((one > low) & (one < t)).astype(int) + ((two > low) & (two < t)).astype(int)
+
+
+def rays(origin, faces, goal, uv, start):
+    """Rays from origins (m, 3) over faces to places uv (m, 2) of ``goal``, from directions ``start`` (m, 3)."""
+    d, miss = _newton(origin, faces, goal, uv, start)
+    allowed = 1e-8 * np.maximum(1, np.abs(uv).max())
+    if np.max(miss) > allowed:
+        raise NoReference(f"no ray: missed by {np.max(miss):.2g} mm")
+    sequence = [*faces, goal]
+    p, out, length, history = trace(origin, d, sequence)
+    a, b = _across(d)
+    h, zero = 1j * STEP + 0 * d[:, 0], 0j * d[:, 0]
+    moved = [trace(origin + 0j, _turned(d + 0j, a, b, *xy), sequence) for xy in ((h, zero), (zero, h))]
+    count, sign = np.zeros(len(d), int), 1.0
+    dp = [0 * a, 0 * b]
+    dd, along = [a, b], d
+    for i, face in enumerate(sequence):
+        t = history[i][0]
+        qa = _dot(along, np.cross(dd[0], dd[1]))
+        qb = _dot(along, np.cross(dp[0], dd[1]) + np.cross(dd[0], dp[1]))
+        qc = _dot(along, np.cross(dp[0], dp[1]))
+        with np.errstate(all="ignore"):
+            count += _roots(qa, qb, qc, t)
+        dp = [m[3][i][1].imag / STEP for m in moved]
+        dd = [m[3][i][2].imag / STEP for m in moved]
+        along = history[i][2]
+        margin = np.abs(((history[i][1] - face.vertex) @ face.axes)[:, :2] - np.array(face.middle))
+        if np.any(t < -1e-7) or np.any(_length(margin) > face.reach):
+            raise NoReference("a ray leaves a face's reach, or would run backwards")
+        sign *= -1 if face.after is None else 1
+    area = np.abs(_dot(out, np.cross(dp[0], dp[1])))
+    hit = (p - goal.vertex) @ goal.axes
+    tangents = goal.axes.T
+    index = goal.before if goal.after is None else goal.after
+    # The last hit is off by the residual: to first order the length there is corrected by the arrival's slope.
+    if goal.curvature == 0:
+        off = uv - hit[:, :2]
+        length = length + index * (off[:, 0] * _dot(out, tangents[0]) + off[:, 1] * _dot(out, tangents[1]))
+    return Rays(length, 1 / np.sqrt(area), count, d)
+
+
+def chief(origin, faces, goal, uv=(0.0, 0.0)):
+    """The one direction (3,) from a point over the faces to a place of ``goal``. NoReference where there are several."""
+    uv = np.array(uv, float)
+    if faces:
+        face = faces[0]
+        grid = np.linspace(-0.95, 0.95, 11) * min(face.reach, 60.0)
+        if face.curvature and (1 + face.conic) > 0:
+            grid = grid * min(1.0, 0.9 / abs(face.curvature) / np.sqrt(1 + face.conic) / max(abs(grid).max(), 1e-9))
+        x, y = np.meshgrid(grid, grid)
+        local = np.stack([x.ravel(), y.ravel()], -1) + np.array(face.middle)
+        with np.errstate(all="ignore"):
+            starts = face.points(local) - origin
+        starts = starts[np.isfinite(starts).all(-1)]
+    else:
+        starts = (goal.points(uv[None]) - origin)
+    if np.min(_length(starts)) < 1e-6 or (faces and abs(_hit(faces[0], origin[None], faces[0].axes[:, 2][None])[0]) < 1e-6):
+        # The source touches the first face: directions instead of places on it.
+        x, y = (g.ravel() for g in np.meshgrid(np.linspace(-0.9, 0.9, 9), np.linspace(-0.9, 0.9, 9)))
+        axis = np.tile(faces[0].axes[:, 2], (len(x), 1))
+        starts = _turned(axis, *_across(axis), x, y)
+    starts = starts / _length(starts)[:, None]
+    m = len(starts)
+    origins, places = np.tile(origin, (m, 1)), np.tile(uv, (m, 1))
+    d, miss = _newton(origins, faces, goal, places, starts, steps=40)
+    with np.errstate(all="ignore"):
+        _, _, _, history = trace(origins, d, [*faces, goal])
+        good = miss < 1e-8
+        for face, (t, p, _) in zip([*faces, goal], history, strict=True):
+            off = ((p - face.vertex) @ face.axes)[:, :2] - np.array(face.middle)
+            good &= (t >= -1e-7) & (_length(off) <= face.reach)
+    found = d[good]
+    if not len(found):
+        raise NoReference("no ray over these faces")
+    if np.max(_length(found - found[0])) > 1e-5:
+        raise NoReference("several rays over these faces")
+    return found[0]
+
+
+# Openings
+
+
+@dataclass(frozen=True)
+class Opening:
+    """A hole in a face (its middle at the vertex): a disc of radius half[0], or a rectangle of half sides ``half``.
+
+    A plane face of equal indices is a hole in a screen; a curved, refracting one is the rim of a lens.
+    """
+
+    face: Face
+    half: tuple[float, ...]
+
+    @property
+    def round(self):
+        return len(self.half) == 1
+
+    def nodes(self, n1, n2):
+        """(uv (n1 n2, 2), weight): Gauss-Legendre in radius and equal angles, or Gauss-Legendre along both sides."""
+        t, w = roots_legendre(n1)
+        if self.round:
+            r, w = self.half[0] * (t + 1) / 2, self.half[0] * w / 2
+            angle = 2 * np.pi * (np.arange(n2) + 0.3) / n2
+            uv = np.stack([np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()], -1)
+            weight = np.repeat(w * r * 2 * np.pi / n2, n2)
+        else:
+            s, v = roots_legendre(n2)
+            x, y = np.meshgrid(self.half[0] * t, self.half[1] * s, indexing="ij")
+            uv = np.stack([x.ravel(), y.ravel()], -1)
+            weight = self.half[0] * self.half[1] * np.outer(w, v).ravel()
+        normal = self.face.normals(self.face.points(uv))
+        return uv, weight / np.abs(normal @ self.face.axes[:, 2])
+
+    def basis(self, uv, degree):
+        """Polynomials up to ``degree``: Zernike's on a disc, products of Legendre's on a rectangle, (m, terms)."""
+        columns = []
+        if self.round:
+            r, angle = np.minimum(_length(uv) / self.half[0], 1.0), np.arctan2(uv[:, 1], uv[:, 0])
+            for m in range(degree + 1):
+                for n in range(m, degree + 1, 2):
+                    radial = r**m * eval_jacobi((n - m) // 2, 0, m, 2 * r * r - 1)
+                    columns.append(radial * np.cos(m * angle))
+                    if m:
+                        columns.append(radial * np.sin(m * angle))
+        else:
+            x, y = uv[:, 0] / self.half[0], uv[:, 1] / self.half[1]
+            for m in range(degree + 1):
+                for n in range(degree + 1 - m):
+                    columns.append(eval_legendre(m, x) * eval_legendre(n, y))
+        return np.stack(columns, -1)
+
+    def coarse(self, degree):
+        """Nodes (m, 2) that determine the polynomials, and the matrix (terms, m) from values to coefficients."""
+        uv = self.nodes(degree // 2 + 3, 2 * degree + 6)[0] if self.round else self.nodes(degree + 3, degree + 3)[0]
+        return uv, np.linalg.pinv(self.basis(uv, degree))
+
+    def samples(self):
+        """A few places (m, 2) that span the opening."""
+        if self.round:
+            angle = np.arange(8) * np.pi / 4
+            return np.concatenate([[[0.0, 0.0]], 0.999 * self.half[0] * np.stack([np.cos(angle), np.sin(angle)], -1)])
+        x, y = np.meshgrid([-1, 0, 1], [-1, 0, 1])
+        return np.stack([x.ravel() * self.half[0], y.ravel() * self.half[1]], -1)
+
+
+@dataclass(frozen=True)
+class Places:
+    """Fixed points: a source or pixel centres, as places uv (m, 2) of a plane face."""
+
+    face: Face
+    uv: np.ndarray
+
+    def coarse(self, degree):
+        return self.uv, None
+
+    def samples(self):
+        return self.uv
+
+
+class Leg:
+    """Length, amplitude times cosine, and focal lines between all pairs of places of two ends."""
+
+    def __init__(self, start, faces, end, degree):
+        self.start, self.faces, self.end = start, faces, end
+        self.index = faces[0].before if faces else (start.face.after or start.face.before)
+        self.degree, self.focal_lines = degree, 0
+        if faces or _refracts(end.face):
+            self._aim()
+
+    def _aim(self):
+        a, self.from_a = self.start.coarse(self.degree)
+        b, self.from_b = self.end.coarse(self.degree)
+        origins = self.start.face.points(a)
+        goal = self.end.face
+        first = chief(self.start.face.points(a.mean(0)[None])[0], self.faces, goal, b.mean(0))
+        pairs_o, pairs_b = np.repeat(origins, len(b), 0), np.tile(b, (len(a), 1))
+        found = rays(pairs_o, self.faces, goal, pairs_b, np.tile(first, (len(pairs_o), 1)))
+        if np.ptp(found.focal_lines):
+            raise NoReference("a focal line lies in an opening or on the detector")
+        self.focal_lines = int(found.focal_lines[0])
+        normal = np.repeat(self.start.face.normals(origins), len(b), 0)
+        cosine = np.abs(_dot(found.direction, normal)) if isinstance(self.start, Opening) else 1.0
+        shape = (len(a), len(b))
+        self.mean = found.length.mean()
+        self.length = self._coefficients((found.length - self.mean).reshape(shape))
+        self.factor = self._coefficients((found.amplitude * cosine).reshape(shape))
+
+    def _coefficients(self, values):
+        values = values if self.from_a is None else self.from_a @ values
+        return values if self.from_b is None else values @ self.from_b.T
+
+    def between(self, a, b):
+        """Optical lengths (na, nb), and factors A cos (1 + i/kr) less the 1/k (na, nb): A cos and 1/r."""
+        if not (self.faces or _refracts(self.end.face)):
+            p, q = self.start.face.points(a), self.end.face.points(b)
+            v = q[None] - p[:, None]
+            r = _length(v)
+            cosine = 1.0
+            if isinstance(self.start, Opening):
+                cosine = np.abs(np.einsum("abk,ak->ab", v, self.start.face.normals(p))) / r
+            return self.index * r, cosine / r, 1 / (self.index * r)
+        left = self.start.basis(a, self.degree) if self.from_a is not None else None
+        right = self.end.basis(b, self.degree) if self.from_b is not None else None
+
+        def evaluated(c):
+            c = c if left is None else left @ c
+            return c if right is None else c @ right.T
+
+        return self.mean + evaluated(self.length), evaluated(self.factor), 0.0
+
+
+def _refracts(face):
+    return face.after is not None and face.after != face.before
+
+
+@dataclass(frozen=True)
+class Way:
+    """Source point (3,), legs (faces of each), openings between them, pixel places of a plane, weight."""
+
+    source: np.ndarray
+    legs: list[list[Face]]
+    openings: list[Opening]
+    detector: Places
+    index: float = 1.0
+    weight: complex = 1.0
+    lines: list = field(default_factory=list)
+
+
+def _ends(way):
+    source = Places(Face(np.asarray(way.source, float), np.eye(3), before=way.index, after=way.index), np.zeros((1, 2)))
+    return [source, *way.openings, way.detector]
+
+
+def _node_counts(legs, opening, j, k, effort):
+    """Nodes of the opening behind leg j that resolve the phase of every pair of ends, (n1, n2)."""
+    before, after = legs[j].start.samples(), legs[j + 1].end.samples()
+    n1, n2 = (33, 48) if opening.round else (33, 33)
+    if opening.round:
+        r, angle = np.linspace(1e-3, 1, n1) * opening.half[0], 2 * np.pi * np.arange(n2 + 1) / n2
+        uv = np.stack([np.outer(r, np.cos(angle)).ravel(), np.outer(r, np.sin(angle)).ravel()], -1)
+        n2 += 1
+    else:
+        x, y = np.meshgrid(*(np.linspace(-h, h, n1) for h in opening.half), indexing="ij")
+        uv = np.stack([x.ravel(), y.ravel()], -1)
+    one = legs[j].between(before, uv)[0]
+    two = legs[j + 1].between(uv, after)[0]
+    phase = k * (one[:, :, None] + two[None]).reshape(len(one), n1, n2, -1)
+    phase = np.moveaxis(phase, -1, 1).reshape(-1, n1, n2)
+    across = np.abs(np.diff(phase, axis=1)).sum(1).max()
+    if opening.round:
+        turns = np.abs(np.diff(phase, axis=2)).max() * (n2 - 1) / (2 * np.pi)
+        return int(effort * (0.5 * across + 14)), int(effort * (1.15 * turns + 24))
+    along = np.abs(np.diff(phase, axis=2)).sum(2).max()
+    return int(effort * (0.5 * across + 14)), int(effort * (0.5 * along + 14))
+
+
+def _once(way, wavelength, degree, effort):
+    k, ends = 2 * np.pi / wavelength, _ends(way)
+    legs = [Leg(ends[i], way.legs[i], ends[i + 1], degree) for i in range(len(way.legs))]
+    places, weights, values = ends[0].uv, np.ones(1), np.ones(1, complex)
+    for j, leg in enumerate(legs):
+        if j < len(way.openings):
+            counts = _node_counts(legs, way.openings[j], j, k, effort)
+            if len(places) * counts[0] * counts[1] > MOST_PAIRS or counts[0] * counts[1] > MOST_PAIRS / 8:
+                raise NoReference(f"too many nodes: {len(places)} x {counts}")
+            goal, goal_weights = way.openings[j].nodes(*counts)
+        else:
+            goal, goal_weights = way.detector.uv, np.ones(len(way.detector.uv))
+        if len(places) * len(goal) > MOST_PAIRS:
+            raise NoReference(f"too many pairs: {len(places)} x {len(goal)}")
+        new = np.zeros(len(goal), complex)
+        across = max(1, int(4e6) // max(len(goal), 1))
+        for i in range(0, len(places), across):
+            part = slice(i, i + across)
+            length, factor, inverse = leg.between(places[part], goal)
+            wave = factor * np.exp(1j * k * (length - leg_mean(leg)))
+            if j:
+                wave = wave * (1 + 1j * inverse / k) * (leg.index / (1j * wavelength))
+            new += (weights[part] * values[part]) @ wave
+        values = new * np.exp(1j * ((k * leg_mean(leg)) % (2 * np.pi))) * (-1j) ** leg.focal_lines
+        places, weights = goal, goal_weights
+    return way.weight * values
+
+
+def leg_mean(leg):
+    return getattr(leg, "mean", 0.0)
+
+
+def field_of(ways, wavelength, degree=12):
+    """Field (m,) that ways add up to, and its own relative error: against fewer nodes and a lower degree."""
+    rough = sum(_once(way, wavelength, degree, 1.0) for way in ways)
+    fine = sum(_once(way, wavelength, degree + 5, 1.45) for way in ways)
+    return fine, float(np.linalg.norm(fine - rough) / np.linalg.norm(fine))
+
+
+# One opening in free space by a line, however large
+
+
+def edge_field(source, opening, targets, wavelength, count):
+    """Rayleigh and Sommerfeld's first integral over a plane hole as the geometric field and a line along the edge.
+
+    The integral is Kirchhoff's at the target less Kirchhoff's at its image in the screen (the normal derivative of the
+    field falls out); each is, for a spherical wave, geometric light and Maggi and Rubinowicz's line integral
+    (Born & Wolf, section 8.9). Same (m,) field as the area's sum, at the cost of ``count`` points.
+    """
+    k, face = 2 * np.pi / wavelength, opening.face
+    n = face.axes[:, 2]
+    q, dl = _edge(opening, count)
+    total = np.zeros(len(targets), complex)
+    for sign, places in ((1.0, targets), (-1.0, targets - 2 * ((targets - face.vertex) @ n)[:, None] * n)):
+        r = q - source
+        rl = _length(r)
+        for i, place in enumerate(places):
+            s = q - place
+            sl = _length(s)
+            triple = _dot(np.cross(s, r), dl)
+            kernel = np.exp(1j * k * (rl + sl)) / (rl * sl) * triple / (rl * sl + _dot(s, r))
+            value = kernel.sum() / (4 * np.pi)
+            side = ((place - face.vertex) @ n) * ((source - face.vertex) @ n) < 0
+            if side:
+                t = ((face.vertex - source) @ n) / ((place - source) @ n)
+                local = (source + t * (place - source) - face.vertex) @ face.axes
+                inside = _length(local[:2]) < opening.half[0] if opening.round else np.all(
+                    np.abs(local[:2]) < opening.half)
+                distance = np.linalg.norm(place - source)
+                value = _orientation(source, face) * value + inside * np.exp(1j * k * distance) / distance
+            else:
+                value = _orientation(source, face) * value
+            total[i] += sign * value
+    return total
+
+
+def _orientation(source, face):
+    """The edge runs right-handed about +z; the line's sign is that of the light's sense through the screen."""
+    return 1.0 if (face.vertex - source) @ face.axes[:, 2] > 0 else -1.0
+
+
+def _edge(opening, count):
+    """Points (m, 3) along the edge and their line elements (m, 3)."""
+    face = opening.face
+    if opening.round:
+        angle = 2 * np.pi * (np.arange(count) + 0.5) / count
+        local = opening.half[0] * np.stack([np.cos(angle), np.sin(angle)], -1)
+        step = opening.half[0] * 2 * np.pi / count * np.stack([-np.sin(angle), np.cos(angle)], -1)
+    else:
+        # np.polynomial's nodes cost count^3; composite panels of 16 nodes each do as well.
+        t, w = roots_legendre(16)
+        panels = max(count // 64, 1)
+        x = ((np.arange(panels)[:, None] + (t + 1) / 2) / panels * 2 - 1).ravel()
+        w = np.tile(w, panels) / panels
+        hx, hy = opening.half
+        one, zero = np.ones_like(x), np.zeros_like(x)
+        local = np.concatenate([np.stack(s, -1) for s in (
+            (hx * x, -hy * one), (hx * one, hy * x), (-hx * x, hy * one), (-hx * one, -hy * x))])
+        step = np.concatenate([np.stack(s, -1) for s in (
+            (hx * w, zero), (zero, hy * w), (-hx * w, zero), (zero, -hy * w))])
+    return face.vertex + local @ face.axes[:, :2].T, step @ face.axes[:, :2].T
+
+
+def edge_field_of(source, opening, targets, wavelength):
+    """:func:`edge_field` with enough points, and its own relative error against two thirds of them."""
+    k = 2 * np.pi / wavelength
+    q, _ = _edge(opening, 512)
+    path = _length(q - source)[:, None] + _length(q[:, None] - targets[None])
+    image = targets - 2 * ((targets - opening.face.vertex) @ opening.face.axes[:, 2])[:, None] * opening.face.axes[:, 2]
+    path = np.concatenate([path, _length(q - source)[:, None] + _length(q[:, None] - image[None])], 1)
+    speed = np.abs(np.diff(path, axis=0)).max() * 512 * k / (2 * np.pi)
+    previous = None
+    count = 64 * (int(1.3 * speed + 256) // 64)
+    while count < 3e6:
+        now = edge_field(source, opening, targets, wavelength, count)
+        if previous is not None:
+            error = float(np.linalg.norm(now - previous) / np.linalg.norm(now))
+            if error < 1e-8:
+                return now, error
+        previous, count = now, 64 * (int(1.5 * count) // 64)
+    raise NoReference("too many points along the edge")
