@@ -16,7 +16,8 @@ Convention: opaque things cast geometric shadows; only openings (and rims given 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import eval_jacobi, eval_legendre, roots_legendre
@@ -24,7 +25,7 @@ from scipy.special import eval_jacobi, eval_legendre, roots_legendre
 STEP = 1e-30
 """Of a complex step: derivatives to the last place."""
 
-MOST_PAIRS = 1.2e7
+MOST_PAIRS = 6e6
 """Pairs of points in one sum that the reference affords (about a second)."""
 
 
@@ -319,28 +320,14 @@ class Opening:
         normal = self.face.normals(self.face.points(uv))
         return uv, weight / np.abs(normal @ self.face.axes[:, 2])
 
-    def basis(self, uv, degree):
-        """Polynomials up to ``degree``: Zernike's on a disc, products of Legendre's on a rectangle, (m, terms)."""
-        columns = []
-        if self.round:
-            r, angle = np.minimum(_length(uv) / self.half[0], 1.0), np.arctan2(uv[:, 1], uv[:, 0])
-            for m in range(degree + 1):
-                for n in range(m, degree + 1, 2):
-                    radial = r**m * eval_jacobi((n - m) // 2, 0, m, 2 * r * r - 1)
-                    columns.append(radial * np.cos(m * angle))
-                    if m:
-                        columns.append(radial * np.sin(m * angle))
-        else:
-            x, y = uv[:, 0] / self.half[0], uv[:, 1] / self.half[1]
-            for m in range(degree + 1):
-                for n in range(degree + 1 - m):
-                    columns.append(eval_legendre(m, x) * eval_legendre(n, y))
-        return np.stack(columns, -1)
+    def basis(self, uv, degree, grid=None):
+        """Polynomials up to ``degree`` at places uv (m, 2), (m, terms); grid: the counts that :meth:`nodes` was given."""
+        return _polynomials(self.round, uv / (self.half[0] if self.round else np.array(self.half)), degree, grid)
 
     def coarse(self, degree):
         """Nodes (m, 2) that determine the polynomials, and the matrix (terms, m) from values to coefficients."""
-        uv = self.nodes(degree // 2 + 3, 2 * degree + 6)[0] if self.round else self.nodes(degree + 3, degree + 3)[0]
-        return uv, np.linalg.pinv(self.basis(uv, degree))
+        return _coarse(self.round, degree)[0] * (self.half[0] if self.round else np.array(self.half)), _coarse(
+            self.round, degree)[1]
 
     def samples(self):
         """A few places (m, 2) that span the opening."""
@@ -349,6 +336,37 @@ class Opening:
             return np.concatenate([[[0.0, 0.0]], 0.999 * self.half[0] * np.stack([np.cos(angle), np.sin(angle)], -1)])
         x, y = np.meshgrid([-1, 0, 1], [-1, 0, 1])
         return np.stack([x.ravel() * self.half[0], y.ravel() * self.half[1]], -1)
+
+
+def _polynomials(round_, uv, degree, grid=None):
+    """Zernike's polynomials on the unit disc, products of Legendre's on the square, at uv (m, 2): (m, terms)."""
+    n1, n2 = grid or (len(uv), 1)
+    places = uv.reshape(n1, n2, 2)
+    columns = []
+    if round_:
+        first = places[:, :1] if grid else places
+        r = np.minimum(_length(first), 1.0)
+        angle = np.arctan2(places[:1, :, 1], places[:1, :, 0]) if grid else np.arctan2(places[..., 1], places[..., 0])
+        for m in range(degree + 1):
+            cosine, sine = np.cos(m * angle), np.sin(m * angle)
+            for n in range(m, degree + 1, 2):
+                radial = r**m * eval_jacobi((n - m) // 2, 0, m, 2 * r * r - 1)
+                columns += [(radial, cosine), (radial, sine)][: 2 if m else 1]
+    else:
+        x, y = (places[:, :1, 0], places[:1, :, 1]) if grid else (places[..., 0], places[..., 1])
+        px, py = ([eval_legendre(m, v) for m in range(degree + 1)] for v in (x, y))
+        columns = [(px[m], py[n]) for m in range(degree + 1) for n in range(degree + 1 - m)]
+    out = np.empty((len(columns), n1, n2))
+    for i, (one, two) in enumerate(columns):
+        np.multiply(one, two, out=out[i])
+    return out.reshape(len(columns), -1).T
+
+
+@lru_cache(maxsize=8)
+def _coarse(round_, degree):
+    unit = Opening(Face(np.zeros(3), np.eye(3)), (1.0,) if round_ else (1.0, 1.0))
+    uv = unit.nodes(degree // 2 + 3, 2 * degree + 6)[0] if round_ else unit.nodes(degree + 3, degree + 3)[0]
+    return uv, np.linalg.pinv(_polynomials(round_, uv, degree))
 
 
 @dataclass(frozen=True)
@@ -371,7 +389,7 @@ class Leg:
     def __init__(self, start, faces, end, degree):
         self.start, self.faces, self.end = start, faces, end
         self.index = faces[0].before if faces else (start.face.after or start.face.before)
-        self.degree, self.focal_lines = degree, 0
+        self.degree, self.focal_lines, self.mean = degree, 0, 0.0
         if faces or _refracts(end.face):
             self._aim()
 
@@ -397,24 +415,30 @@ class Leg:
         values = values if self.from_a is None else self.from_a @ values
         return values if self.from_b is None else values @ self.from_b.T
 
-    def between(self, a, b):
-        """Optical lengths (na, nb), and factors A cos (1 + i/kr) less the 1/k (na, nb): A cos and 1/r."""
+    def between(self, a, b, grids=(None, None)):
+        """Function of a slice of the places ``a``: optical lengths (na, nb) less ``mean``, factors A cos(chi), 1/r or 0.
+
+        a, b: places (na, 2), (nb, 2) of the two ends; grids: the counts of the nodes that they are, or None.
+        """
         if not (self.faces or _refracts(self.end.face)):
             p, q = self.start.face.points(a), self.end.face.points(b)
-            v = q[None] - p[:, None]
-            r = _length(v)
-            cosine = 1.0
-            if isinstance(self.start, Opening):
-                cosine = np.abs(np.einsum("abk,ak->ab", v, self.start.face.normals(p))) / r
-            return self.index * r, cosine / r, 1 / (self.index * r)
-        left = self.start.basis(a, self.degree) if self.from_a is not None else None
-        right = self.end.basis(b, self.degree) if self.from_b is not None else None
+            normal = self.start.face.normals(p) if isinstance(self.start, Opening) else None
+            return lambda part: self._free(p[part], q, None if normal is None else normal[part])
+        left = None if self.from_a is None else self.start.basis(a, self.degree, grids[0])
+        right = None if self.from_b is None else self.end.basis(b, self.degree, grids[1])
+        known = [c if right is None else c @ right.T for c in (self.length, self.factor)]
 
-        def evaluated(c):
-            c = c if left is None else left @ c
-            return c if right is None else c @ right.T
+        def block(part):
+            length, factor = (c[part] if left is None else left[part] @ c for c in known)
+            return length, factor, 0.0
 
-        return self.mean + evaluated(self.length), evaluated(self.factor), 0.0
+        return block
+
+    def _free(self, p, q, normal):
+        v = [q[None, :, i] - p[:, None, i] for i in range(3)]
+        r = np.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+        cosine = 1.0 if normal is None else np.abs(sum(v[i] * normal[:, None, i] for i in range(3))) / r
+        return self.index * r, cosine / r, 1 / (self.index * r)
 
 
 def _refracts(face):
@@ -431,7 +455,6 @@ class Way:
     detector: Places
     index: float = 1.0
     weight: complex = 1.0
-    lines: list = field(default_factory=list)
 
 
 def _ends(way):
@@ -450,8 +473,8 @@ def _node_counts(legs, opening, j, k, effort):
     else:
         x, y = np.meshgrid(*(np.linspace(-h, h, n1) for h in opening.half), indexing="ij")
         uv = np.stack([x.ravel(), y.ravel()], -1)
-    one = legs[j].between(before, uv)[0]
-    two = legs[j + 1].between(uv, after)[0]
+    one = legs[j].between(before, uv)(slice(None))[0]
+    two = legs[j + 1].between(uv, after)(slice(None))[0]
     phase = k * (one[:, :, None] + two[None]).reshape(len(one), n1, n2, -1)
     phase = np.moveaxis(phase, -1, 1).reshape(-1, n1, n2)
     across = np.abs(np.diff(phase, axis=1)).sum(1).max()
@@ -462,42 +485,36 @@ def _node_counts(legs, opening, j, k, effort):
     return int(effort * (0.5 * across + 14)), int(effort * (0.5 * along + 14))
 
 
-def _once(way, wavelength, degree, effort):
+def _once(way, wavelength, degree, effort, most):
     k, ends = 2 * np.pi / wavelength, _ends(way)
     legs = [Leg(ends[i], way.legs[i], ends[i + 1], degree) for i in range(len(way.legs))]
-    places, weights, values = ends[0].uv, np.ones(1), np.ones(1, complex)
+    places, grid, weights, values = ends[0].uv, None, np.ones(1), np.ones(1, complex)
     for j, leg in enumerate(legs):
         if j < len(way.openings):
             counts = _node_counts(legs, way.openings[j], j, k, effort)
-            if len(places) * counts[0] * counts[1] > MOST_PAIRS or counts[0] * counts[1] > MOST_PAIRS / 8:
+            if counts[0] * counts[1] > effort**2 * min(most / len(places) / (3 if j else 1), most / 40):
                 raise NoReference(f"too many nodes: {len(places)} x {counts}")
             goal, goal_weights = way.openings[j].nodes(*counts)
         else:
-            goal, goal_weights = way.detector.uv, np.ones(len(way.detector.uv))
-        if len(places) * len(goal) > MOST_PAIRS:
-            raise NoReference(f"too many pairs: {len(places)} x {len(goal)}")
+            counts, goal, goal_weights = None, way.detector.uv, np.ones(len(way.detector.uv))
+        block, across = leg.between(places, goal, (grid, counts)), max(1, int(1e6) // len(goal))
         new = np.zeros(len(goal), complex)
-        across = max(1, int(4e6) // max(len(goal), 1))
         for i in range(0, len(places), across):
             part = slice(i, i + across)
-            length, factor, inverse = leg.between(places[part], goal)
-            wave = factor * np.exp(1j * k * (length - leg_mean(leg)))
+            length, factor, inverse = block(part)
+            wave = factor * np.exp(1j * k * length)
             if j:
                 wave = wave * (1 + 1j * inverse / k) * (leg.index / (1j * wavelength))
             new += (weights[part] * values[part]) @ wave
-        values = new * np.exp(1j * ((k * leg_mean(leg)) % (2 * np.pi))) * (-1j) ** leg.focal_lines
-        places, weights = goal, goal_weights
+        values = new * np.exp(1j * ((k * leg.mean) % (2 * np.pi))) * (-1j) ** leg.focal_lines
+        places, grid, weights = goal, counts, goal_weights
     return way.weight * values
 
 
-def leg_mean(leg):
-    return getattr(leg, "mean", 0.0)
-
-
-def field_of(ways, wavelength, degree=12):
+def field_of(ways, wavelength, degree=10, most=MOST_PAIRS):
     """Field (m,) that ways add up to, and its own relative error: against fewer nodes and a lower degree."""
-    rough = sum(_once(way, wavelength, degree, 1.0) for way in ways)
-    fine = sum(_once(way, wavelength, degree + 5, 1.45) for way in ways)
+    rough = sum(_once(way, wavelength, degree, 1.0, most) for way in ways)
+    fine = sum(_once(way, wavelength, degree + 4, 1.4, most) for way in ways)
     return fine, float(np.linalg.norm(fine - rough) / np.linalg.norm(fine))
 
 

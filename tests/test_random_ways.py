@@ -60,11 +60,12 @@ class Verdict:
 
 def field_on_pixels(path: Path, rows, columns):
     """(field (m,), stated error, warnings) of a scene file as the command renders and stores it."""
+    import mitsuba
+
     from speckle_mi.field.simulate import simulate_frame
     from speckle_mi.scene.assembly import assembly_from_scene
-    from speckle_mi.scene.load import load_scene
 
-    frame = simulate_frame(assembly_from_scene(load_scene(str(path), {}, None)))
+    frame = simulate_frame(assembly_from_scene(mitsuba.load_file(str(path))))
     stored = frame.image.field.astype(np.complex64)[rows, columns]
     return stored.astype(complex), frame.numerical_error, frame.warnings
 
