@@ -128,6 +128,7 @@ class Bench:
     notes: list = field(default_factory=list)
     distance: float = 0.0
     extra_error: float = 0.0
+    beside: float = 0.0
 
     def name(self, kind):
         return f"{kind}{len(self.xml)}"
@@ -317,7 +318,7 @@ def _blocked(bench, p, q):
     return any(_crosses(p, q, plane) for plane in bench.planes) or any(_through_ball(p, q, b) for b in bench.balls)
 
 
-def _around(p, targets):
+def _spread(targets):
     return np.max(np.linalg.norm(targets - targets.mean(0), axis=1))
 
 
@@ -327,7 +328,7 @@ def _shield(bench, targets, room):
     for f in bench.rng.permutation(np.linspace(0.2, 0.85, 12)):
         centre = bench.source + f * (middle - bench.source)
         normal = middle - bench.source
-        half = 1.3 * f * _around(bench.source, targets) + bench.between(1.0, 1.5) * room
+        half = 1.3 * f * _spread(targets) + bench.between(1.0, 1.5) * room
         screen = (centre, frame_along(normal), (half + room, half + room), None)
         if any(_crosses(p, q, screen) for p, q in bench.path if np.linalg.norm(q - p) > 0):
             continue
@@ -346,23 +347,54 @@ def _stray(bench, targets, room):
             raise NoReference("direct light")
 
 
+def _image_ray(source, faces, place):
+    """Corners (k + 1, 3) of the ray over plane mirrors from a source to a place, by images. NoReference: there is none."""
+    images = [source]
+    for face in faces:
+        n = face.axes[:, 2]
+        images.append(images[-1] - 2 * ((images[-1] - face.vertex) @ n) * n)
+    corners, at = [place], place
+    for face, image in zip(faces[::-1], images[:0:-1], strict=True):
+        local, seen = (at - face.vertex) @ face.axes, (image - face.vertex) @ face.axes
+        if local[2] * seen[2] >= 0:
+            raise NoReference("no ray over these mirrors")
+        hit = local + local[2] / (local[2] - seen[2]) * (seen - local)
+        if np.max(np.abs(hit[:2])) > face.reach:
+            raise NoReference("the ray misses a mirror")
+        at = face.vertex + face.axes @ [*hit[:2], 0.0]
+        corners.append(at)
+    return [source, *corners[:0:-1], place] if faces else [source, place]
+
+
+def _corners(source, faces, place):
+    if all(face.curvature == 0 for face in faces):
+        return _image_ray(source, faces, place)
+    goal = Face(place, frame_along(place - source))
+    d = chief(source, faces, goal)
+    return [source, *(h[1][0] for h in trace(source[None], d[None], [*faces, goal])[3])]
+
+
+def _sequences(mirrors):
+    """Orders in which light can meet one or two mirrors, up to four times (a curved one: once)."""
+    if len(mirrors) < 2:
+        return [mirrors]
+    one, two = mirrors
+    return [[one, two, one, two][i : i + n] for i in range(2) for n in range(1, 5) if i + n <= 4] + [[two, one, two, one]]
+
+
 def _other_ways(bench, mirrors, wanted, places):
     """NoReference where a sequence of mirror faces other than the ``wanted`` lights one of the places."""
-    sequences = [[m] for m in mirrors] + [[a, b] for a in mirrors for b in mirrors if a is not b]
-    for faces in sequences:
+    for faces in _sequences(mirrors):
         if len(faces) == len(wanted) and all(a is b for a, b in zip(faces, wanted, strict=True)):
             continue
         wide = [replace(f, reach=f.reach / CLEAR * 1.1) for f in faces]
         for place in places:
-            goal = Face(place, frame_along(place - bench.source))
             try:
-                d = chief(bench.source, wide, goal)
+                corners = _corners(bench.source, wide, place)
             except NoReference as reason:
                 if "several" in str(reason):
                     raise
                 continue
-            history = trace(bench.source[None], d[None], [*wide, goal])[3]
-            corners = [bench.source, *(h[1][0] for h in history)]
             if not any(_blocked(bench, p, q) for p, q in zip(corners, corners[1:], strict=False)):
                 raise NoReference("another way")
 
@@ -435,7 +467,7 @@ def _reference(ways, bench):
     k = 2 * np.pi * bench.index / bench.wavelength
     for way in ways:
         error += sum(2 / (k * max(bench.distance, 1e-3)) for leg in way.legs[1:] if leg)
-    return value, error + bench.extra_error
+    return value, error + bench.extra_error + bench.beside / np.sqrt(np.mean(np.abs(value) ** 2))
 
 
 def _scene_text(bench, plane, pitch, tolerance):

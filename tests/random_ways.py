@@ -10,8 +10,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from optical_bench import CLEAR, WAVELENGTHS, Bench, _finish, _other_ways, _rotation, _stray
+from optical_bench import (
+    _CONDUCTOR,
+    CLEAR,
+    WAVELENGTHS,
+    Bench,
+    _blocked,
+    _crosses,
+    _finish,
+    _floats,
+    _other_ways,
+    _shape,
+    _stray,
+)
 from reference_optics import Face, NoReference, Opening, Way, chief, edge_field_of, frame_along, trace
+from threadpoolctl import threadpool_limits
 
 SEED = 20240611
 """Of all scenes; another one gives other scenes of the same kinds."""
@@ -83,7 +96,7 @@ def _shield_all(b, mirrors, distance, half):
     _stray(b, hole, room)
     _stray(b, detector, room)
     b.path.pop()
-    _other_ways(b, mirrors, mirrors, [*hole[:3], *detector[:1]])
+    _other_ways(b, mirrors, mirrors, [*hole, *detector])
 
 
 def _detector_half(b, distance):
@@ -291,8 +304,8 @@ def bare_lens(b):
     end = b.at + distance * b.d + 0.05 * radius * axes[:, 0]
     through = edge_field_of(b.source, rim, end[None], b.wavelength)[0][0]
     span = np.linalg.norm(end - b.source)
-    beside = abs(np.exp(2j * np.pi / b.wavelength * span) / span - through)
-    b.extra_error += beside / (radius / l1 / np.sqrt(np.pi) / (0.1 * radius)) + 1e-4
+    b.beside = abs(np.exp(2j * np.pi / b.wavelength * span) / span - through)
+    b.extra_error += 1e-4
     return distance
 
 
@@ -341,10 +354,10 @@ def plate_on_detector(b):
 def ball(b, inside=None, outside=1.0):
     """A ball lens of given indices and a stop behind it."""
     radius = b.log(0.5, 10)
-    n = inside or b.pick(1.45, 1.5168, 1.8)
+    n = inside or b.pick(1.45, 1.5168, 1.6)
     b.go(radius * b.log(0.5, 5))
     b.ball(radius, n, outside, b.rng.uniform(-0.1, 0.1, 2) * radius)
-    b.go(b.between(0.1, 1.5) * radius)
+    b.go(b.between(0.03, 0.4) * radius)
     b.opening((b.between(0.02, 0.12) * radius,), tilt=5, decentre=0.4)
     return radius * b.between(2, 12)
 
@@ -435,7 +448,6 @@ def two_ways_curved(b):
     hole = b.openings[0].half[0] * b.between(0.3, 1.5)
     outer = b.between(9, 15)
     screen = (stop, axes, (outer + 1,), None)
-    from optical_bench import _blocked, _crosses, _floats, _shape
     if any(_crosses(p, q, screen) for p, q in [*b.path, (b.at, end)]) or _blocked(b, b.source, end):
         raise NoReference("the second stop is in the way")
     b.xml.append(_shape("aperture", b.name("stop"), stop, axes, _floats(radius=hole, outer_radius=outer)))
@@ -450,7 +462,6 @@ def sphere_inside(b):
     radius = b.log(30, 300)
     b.source = np.array([*b.rng.uniform(-0.03, 0.03, 2), 0.02]) * radius
     centre = np.array([*b.rng.uniform(-0.05, 0.05, 2), b.between(0, 0.1)]) * radius
-    from optical_bench import _CONDUCTOR, _shape
     b.xml.append(_shape("sphere", b.name("sphere"), centre, np.eye(3), _CONDUCTOR, (radius,) * 3))
     b.baffle(np.array([0.0, 0.0, -0.01 * radius]), np.array([0.0, 0.0, 1.0]), 1.5 * radius)
     b.at = b.source.copy()
@@ -490,7 +501,7 @@ def scene(number: int):
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([SEED, number, attempt])
         try:
-            with np.errstate(all="ignore"):
+            with np.errstate(all="ignore"), threadpool_limits(limits=1):  # small matrices: threads only wait
                 return _drawn(number, kind, rng)
         except NoReference as reason:
             words = str(reason).split(":")[0].rstrip("0123456789.e-+ ")

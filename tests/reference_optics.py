@@ -25,7 +25,7 @@ from scipy.special import eval_jacobi, eval_legendre, roots_legendre
 STEP = 1e-30
 """Of a complex step: derivatives to the last place."""
 
-MOST_PAIRS = 6e6
+MOST_PAIRS = 4e6
 """Pairs of points in one sum that the reference affords (about a second)."""
 
 
@@ -389,6 +389,8 @@ class Leg:
     def __init__(self, start, faces, end, degree):
         self.start, self.faces, self.end = start, faces, end
         self.index = faces[0].before if faces else (start.face.after or start.face.before)
+        if isinstance(start, Opening) and isinstance(end, Opening):
+            degree = degree // 2 + 1  # four coordinates: a smaller degree is both enough and all that can be paid
         self.degree, self.focal_lines, self.mean = degree, 0, 0.0
         if faces or _refracts(end.face):
             self._aim()
@@ -492,7 +494,7 @@ def _once(way, wavelength, degree, effort, most):
     for j, leg in enumerate(legs):
         if j < len(way.openings):
             counts = _node_counts(legs, way.openings[j], j, k, effort)
-            if counts[0] * counts[1] > effort**2 * min(most / len(places) / (3 if j else 1), most / 40):
+            if counts[0] * counts[1] > min(effort**4 * most / len(places), effort**2 * most / 40):
                 raise NoReference(f"too many nodes: {len(places)} x {counts}")
             goal, goal_weights = way.openings[j].nodes(*counts)
         else:
