@@ -1,9 +1,9 @@
 """Random scenes with elements against independent optics: none dark, none off by more than its stated error.
 
-``pytest tests/test_random_ways.py`` judges SAMPLE scenes of the ENABLED kinds; ``python tests/test_random_ways.py`` judges
-all 300 (or ``--kind``, ``--numbers``) and prints a table. A scene holds when the field on its compared pixels differs
-from the reference, one global phase removed, by no more than the stated ``numerical_error``, or what single precision
-stores, and the reference's own error. Refusals are failures but for a share of ALLOWED_REFUSALS.
+``pytest tests/test_random_ways.py`` judges SAMPLE scenes of the ENABLED kinds. ``python tests/test_random_ways.py``
+judges all 300 (or ``--kind``, ``--numbers``) and prints a table. A scene holds when the field on its compared pixels
+differs from the reference, one global phase removed, by no more than the stated ``numerical_error``, or what single
+precision stores, and the reference's own error. Refusals are failures but for a share of ALLOWED_REFUSALS.
 """
 
 from __future__ import annotations

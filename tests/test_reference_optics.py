@@ -5,21 +5,8 @@ from __future__ import annotations
 import mpmath
 import numpy as np
 import pytest
-from reference_optics import (
-    Face,
-    NoReference,
-    Opening,
-    Places,
-    Way,
-    ball_faces,
-    chief,
-    edge_field_of,
-    field_of,
-    frame_along,
-    lens_faces,
-    rays,
-    trace,
-)
+from reference_optics import Opening, Places, Way, edge_field_of, field_of
+from reference_rays import Face, NoReference, ball_faces, chief, frame_along, lens_faces, rays, trace
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH
