@@ -127,7 +127,7 @@ def two_ways_curved(b):
     line = end - b.source
     span = np.linalg.norm(line)
     direct = line / span
-    if direct[2] < 0.2 or not 0.1 < direct @ b.d < 0.9:
+    if direct[2] < 0.2 or not -0.7 < direct @ b.d < 0.9:
         raise NoReference("the two lights come from too far apart or too near each other")
     stop = b.source + b.between(0.35, 0.7) * line
     axes = frame_along(direct, b.rng.normal(size=3))

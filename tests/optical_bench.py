@@ -327,7 +327,7 @@ def finished(number, kind, bench, distance):
     ways = [Way(bench.source, bench.legs, bench.openings, places, bench.index),
             *(replace(w, detector=places) for w in bench.other_ways)]
     value, error = _reference(ways, bench)
-    tolerance = bench.pick(1e-3, 1e-4, 1e-5)
+    tolerance = bench.pick(1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
     return Scene(number, kind, _scene_text(bench, plane, pitch, tolerance), bench.source[None], rows, columns, value,
                  error, tolerance, "; ".join(bench.notes))
 
