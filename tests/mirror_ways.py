@@ -152,7 +152,7 @@ def sphere_inside(b):
     b.baffle(np.array([0.0, 0.0, -0.01 * radius]), np.array([0.0, 0.0, 1.0]), 1.5 * radius)
     b.at = b.source.copy()
     b.d = b.turned(0, 15)
-    b._meet([Face(centre + radius * np.array([0, 0, 1.0]), np.diag([1.0, -1.0, -1.0]), 1 / radius, 0.0, 1.0, None,
+    b.meet([Face(centre + radius * np.array([0, 0, 1.0]), np.diag([1.0, -1.0, -1.0]), 1 / radius, 0.0, 1.0, None,
                   0.9 * radius)])
     b.detector_half = 0.01 * radius
     b.extra_error += 1e-5

@@ -12,14 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from reference_optics import Opening, Places, Way, edge_field_of, field_of
 from reference_rays import Face, NoReference, ball_faces, chief, frame_along, lens_faces, rays, trace
+from stray_light import CLEAR, require_free
 
 COLUMNS, ROWS, COMPARED = 24, 18, 12
 """Pixels of every detector, and on how many of them fields are compared."""
 
 WAVELENGTHS = (405.0, 532.0, 632.8, 785.0)
-CLEAR = 0.8
-"""Part of a face's half-width within which the light has to stay."""
-
 OFF_CENTRE = 0.4
 """How far beside the chief ray a detector stands at most, in half-widths of its light."""
 
@@ -94,10 +92,12 @@ def _rotation(vector):
 
 @dataclass
 class Bench:
-    """What has been built so far: the chief ray's end and direction, XML, faces of every leg, openings, blockers.
+    """What has been built so far: the chief ray's end and direction, XML, faces of every leg, openings.
 
-    wavelength: in vacuum [mm]; index: of the medium around; extra_error: relative, beside [field]: what the reference
-    leaves out; other_ways: whose field is added; detector_axes, _half [mm], _tilt [deg]: where not the light's.
+    planes, balls: what light ends at or is reflected by; glass, glass_balls: what it does not pass unchanged;
+    path, rims: segments of the chief ray and of rays to the openings' edges; wavelength: in vacuum [mm]; index: of the
+    medium around; extra_error: relative, beside [field]: what the reference leaves out; other_ways: whose field is
+    added; detector_axes, _half [mm], _tilt [deg]: where they are not the light's.
     """
 
     rng: np.random.Generator
@@ -111,7 +111,10 @@ class Bench:
     openings: list = field(default_factory=list)
     planes: list = field(default_factory=list)
     balls: list = field(default_factory=list)
+    glass: list = field(default_factory=list)
+    glass_balls: list = field(default_factory=list)
     path: list = field(default_factory=list)
+    rims: list = field(default_factory=list)
     notes: list = field(default_factory=list)
     distance: float = 0.0
     extra_error: float = 0.0
@@ -143,7 +146,7 @@ class Bench:
         base = frame_along(self.d, self.rng.normal(size=3))
         return _rotation(np.radians(tilt) * self.rng.uniform(-1, 1, 3)) @ base
 
-    def _meet(self, faces):
+    def meet(self, faces):
         """The chief ray goes on over faces."""
         start = self.at - 1e-9 * self.d
         p, d, _, history = trace(start[None], self.d[None], faces)
@@ -187,7 +190,7 @@ class Bench:
         centre = self.at + axes[:, :2] @ np.asarray(off)
         self.xml.append(shape("rectangle", self.name("mirror"), centre, axes, CONDUCTOR, (half, half, 1)))
         self.planes.append((centre, axes, (half, half), None))
-        self._meet([Face(centre, axes, before=self.index, after=None, reach=CLEAR * half)])
+        self.meet([Face(centre, axes, before=self.index, after=None, reach=CLEAR * half)])
 
     def conductor_sphere(self, d_out, radius):
         """The outside of a sphere of metal."""
@@ -195,7 +198,7 @@ class Bench:
         centre = self.at - radius * n
         self.xml.append(shape("sphere", self.name("sphere"), centre, np.eye(3), CONDUCTOR, (radius,) * 3))
         self.balls.append((centre, radius))
-        self._meet([Face(centre + radius * n, frame_along(-n), 1 / radius, 0.0, self.index, None, 0.9 * radius)])
+        self.meet([Face(centre + radius * n, frame_along(-n), 1 / radius, 0.0, self.index, None, 0.9 * radius)])
 
     def curved_mirror(self, d_out, radius, conic, diameter, off_axis=0.0, decentre=(0.0, 0.0), flip=False):
         """A `mirror` that is met at ``off_axis`` (+ decentre) of its parent and turns the chief ray to ``d_out``."""
@@ -218,7 +221,7 @@ class Bench:
         face = Face(vertex, axes, sign / radius, conic, self.index, None, CLEAR * diameter / 2, (off_axis, 0.0))
         centre = face.points(np.array([[off_axis, 0.0]]))[0]
         self.planes.append((centre, axes, (diameter / 2,), None))
-        self._meet([face])
+        self.meet([face])
 
     def lens(self, r1, r2, t, diameter, index, tilt=0.0, decentre=(0.0, 0.0), axes=None, conic1=0.0, conic2=0.0,
              front=None, meet=True):
@@ -227,19 +230,19 @@ class Bench:
         vertex = (self.at if front is None else front) + axes[:, :2] @ np.asarray(decentre)
         self.xml.append(shape("lens", self.name("lens"), vertex, axes, radius1=r1, radius2=r2, conic1=conic1,
                                conic2=conic2, thickness=t, diameter=diameter, ior=index))
-        self.planes.append((vertex + t / 2 * axes[:, 2], axes, (diameter / 2,), None))
+        self.glass.append((vertex + t / 2 * axes[:, 2], axes, (diameter / 2,), None))
         faces = lens_faces(vertex, axes, r1, r2, t, index, conic1, conic2, reach=CLEAR * diameter / 2)
         _require_lens(r1, r2, t, diameter, conic1, conic2)
         if meet:
-            self._meet(faces)
+            self.meet(faces)
         return vertex, axes, faces
 
     def ball(self, radius, index, outside, beside=(0.0, 0.0)):
         axes = self.axes()
         centre = self.at + radius * self.d + axes[:, :2] @ np.asarray(beside)
         self.xml.append(shape("sphere", self.name("ball"), centre, np.eye(3), _glass(index, outside), (radius,) * 3))
-        self.balls.append((centre, radius))
-        self._meet(ball_faces(centre, radius, self.d, index, outside))
+        self.glass_balls.append((centre, radius))
+        self.meet(ball_faces(centre, radius, self.d, index, outside))
 
     def plate(self, thickness, half, index, tilt=0.0, outside=1.0, axes=None, middle=None):
         """A plane-parallel plate whose front face the chief ray has reached."""
@@ -249,7 +252,7 @@ class Bench:
         self.xml.append(shape("cube", self.name("plate"), centre, axes, _glass(index, outside),
                                (half, half, thickness / 2)))
         back = front + thickness * axes[:, 2]
-        self._meet([Face(front, axes, 0.0, 0.0, outside, index, CLEAR * half),
+        self.meet([Face(front, axes, 0.0, 0.0, outside, index, CLEAR * half),
                     Face(back, axes, 0.0, 0.0, index, outside, CLEAR * half)])
 
     def baffle(self, centre, normal, half):
@@ -295,10 +298,13 @@ def _light_at(bench, plane):
         first = chief(bench.source, before, opening.face)
         found = rays(np.tile(bench.source, (len(rim), 1)), before, opening.face, rim, np.tile(first, (len(rim), 1)))
         middle = [opening.face] if refracting else []
-        p, _, length, _ = trace(np.tile(bench.source, (len(rim), 1)), found.direction,
-                                [*before, *middle, *behind, plane])
+        p, _, length, history = trace(np.tile(bench.source, (len(rim), 1)), found.direction,
+                                      [*before, *middle, *behind, plane])
         if not np.isfinite(p).all():
             raise NoReference("light of the rim gets lost")
+        corners = [np.tile(bench.source, (len(rim), 1)), *(q for _, q, _ in history)]
+        bench.rims += [(a, b) for one, two in zip(corners, corners[1:], strict=False)
+                       for a, b in zip(one, two, strict=True)]
         narrow = min(narrow, np.max(np.linalg.norm(p - p[0], axis=1)))
         onward = max(float(length[0] - found.length[0]), 1e-3)
         wide = max(wide, 3.0 / k * onward / min(opening.half))
@@ -314,7 +320,9 @@ def finished(number, kind, bench, distance):
     if axes is None:
         axes = bench.axes(bench.detector_tilt) @ np.diag([1.0, -1.0, -1.0])
     plane = Face(bench.at, axes, before=bench.index, after=bench.index)
-    half = min(bench.detector_half or _light_at(bench, plane), WIDEST)
+    half = min(_light_at(bench, plane), WIDEST)
+    half = bench.detector_half or half
+    require_free(bench)
     pitch = float(f"{half * bench.between(0.7, 1.5) * 2 / COLUMNS:.3g}")
     if not 2e-5 < pitch < 1:
         raise NoReference("pixels too small or too large")

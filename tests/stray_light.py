@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from optical_bench import CLEAR
 from reference_rays import Face, NoReference, chief, frame_along, trace
+
+CLEAR = 0.8
+"""Part of a face's half-width within which the light has to stay."""
 
 
 def crosses(p, q, plane):
@@ -33,7 +35,17 @@ def _through_ball(p, q, ball):
 
 def blocked(bench, p, q):
     """Whether anything on the bench stands between two places."""
-    return any(crosses(p, q, plane) for plane in bench.planes) or any(_through_ball(p, q, b) for b in bench.balls)
+    return any(crosses(p, q, plane) for plane in [*bench.planes, *bench.glass]) or any(
+        _through_ball(p, q, ball) for ball in [*bench.balls, *bench.glass_balls])
+
+
+def require_free(bench):
+    """NoReference where the chief ray, or one to an opening's edge, ends at something that it should pass."""
+    whole = [plane for plane in bench.planes if plane[3] is None]
+    for segments, planes in ((bench.path, bench.planes), (bench.rims, whole)):
+        for p, q in segments:
+            if any(crosses(p, q, plane) for plane in planes) or any(_through_ball(p, q, b) for b in bench.balls):
+                raise NoReference("something stands in the light")
 
 
 def _spread(targets):

@@ -8,9 +8,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from optical_bench import CLEAR
 from reference_optics import Opening, edge_field_of
 from reference_rays import Face, chief, trace
+from stray_light import CLEAR
 
 
 def _hole(b, low, high):
@@ -169,7 +169,7 @@ def thin_gap(b):
     if gap:
         back = vertex + t1 * axes[:, 2]
         middle = [Face(back, axes, 1 / r2, 0, n1, 1.0, reach), Face(second, axes, 1 / r2, 0, 1.0, n2, reach)]
-    b._meet([Face(vertex, axes, 1 / r1, 0, 1.0, n1, reach), *middle, Face(last, axes, 1 / r3, 0, n2, 1.0, reach)])
+    b.meet([Face(vertex, axes, 1 / r1, 0, 1.0, n1, reach), *middle, Face(last, axes, 1 / r3, 0, n2, 1.0, reach)])
     b.notes.append(f"gap {gap:g} mm")
     b.go(b.between(0.05, 0.4) * f)
     b.opening((b.between(0.01, 0.04) * f,), decentre=0.3)
@@ -285,9 +285,9 @@ def ball(b, inside=None, outside=1.0):
     """A ball lens of given indices and a stop behind it."""
     radius = b.log(0.5, 10)
     n = inside or b.pick(1.45, 1.5168, 1.6)
-    b.go(radius * b.log(0.5, 5))
+    b.go(radius * b.log(0.2, 3))
     b.ball(radius, n, outside, b.rng.uniform(-0.1, 0.1, 2) * radius)
-    b.go(b.between(0.03, 0.4) * radius)
+    b.go(b.between(0.03, 0.25) * radius)
     b.opening((b.between(0.02, 0.12) * radius,), tilt=5, decentre=0.4)
     return radius * b.between(2, 12)
 
