@@ -186,14 +186,13 @@ def _refracts(face):
 
 @dataclass(frozen=True)
 class Way:
-    """Source point (3,), legs (faces of each), openings between them, pixel places of a plane, weight."""
+    """Source point (3,), legs (faces of each), openings between them, pixel places of a plane, index of the medium."""
 
     source: np.ndarray
     legs: list[list[Face]]
     openings: list[Opening]
     detector: Places
     index: float = 1.0
-    weight: complex = 1.0
 
 
 def _ends(way):
@@ -247,7 +246,7 @@ def _once(way, wavelength, degree, effort, most):
             new += (weights[part] * values[part]) @ wave
         values = new * np.exp(1j * ((k * leg.mean) % (2 * np.pi))) * (-1j) ** leg.focal_lines
         places, grid, weights = goal, counts, goal_weights
-    return way.weight * values
+    return values
 
 
 def field_of(ways, wavelength, degree=10, most=MOST_PAIRS):
@@ -280,18 +279,20 @@ def edge_field(source, opening, targets, wavelength, count):
             triple = dot(np.cross(s, r), dl)
             kernel = np.exp(1j * k * (rl + sl)) / (rl * sl) * triple / (rl * sl + dot(s, r))
             value = kernel.sum() / (4 * np.pi)
-            side = ((place - face.vertex) @ n) * ((source - face.vertex) @ n) < 0
-            if side:
-                t = ((face.vertex - source) @ n) / ((place - source) @ n)
-                local = (source + t * (place - source) - face.vertex) @ face.axes
-                inside = length_of(local[:2]) < opening.half[0] if opening.round else np.all(
-                    np.abs(local[:2]) < opening.half)
-                distance = np.linalg.norm(place - source)
-                value = _orientation(source, face) * value + inside * np.exp(1j * k * distance) / distance
-            else:
-                value = _orientation(source, face) * value
-            total[i] += sign * value
+            total[i] += sign * (_orientation(source, face) * value + _geometric(source, opening, place, k))
     return total
+
+
+def _geometric(source, opening, place, k):
+    """The source's spherical wave where it comes straight through the hole, otherwise 0."""
+    face = opening.face
+    before, behind = ((p - face.vertex) @ face.axes for p in (source, place))
+    if before[2] * behind[2] >= 0:
+        return 0.0
+    hit = (before + before[2] / (before[2] - behind[2]) * (behind - before))[:2]
+    inside = length_of(hit) < opening.half[0] if opening.round else np.all(np.abs(hit) < opening.half)
+    distance = np.linalg.norm(place - source)
+    return inside * np.exp(1j * k * distance) / distance
 
 
 def _orientation(source, face):
