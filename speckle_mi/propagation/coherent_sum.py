@@ -37,6 +37,9 @@ EXPANSION_SECONDS = 0.03
 TABLE_SECONDS = 2e-7
 """Per entry of the expansion's table: one path, one complex exponential, a few complex products."""
 
+LOOK_SECONDS = 1e-7
+"""Per source of a part of the spot that an expansion is looked for: its box, its half, its share of the power."""
+
 TYPICAL_RANK = 6
 """Rank that a part of a large spot is taken to have when it is asked how many parts could pay."""
 
@@ -265,6 +268,7 @@ class Task:
                 self.path, self.sources, self.weights, self.target, self.box, self.wavelength, self.tolerance,
                 largest_table=int(min(LARGEST_TABLE, (best - least) / TABLE_SECONDS)),
                 most_parts=int(np.clip((best - least) / (TYPICAL_RANK * points * costs.nufft_point), 1, MOST_PARTS)),
+                most_looked_at=(best - least) / LOOK_SECONDS,
             )  # fmt: skip
             if parts is not None:
                 found.append(self._expanded(parts, costs, few_nodes, interpolation))
