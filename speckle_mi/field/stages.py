@@ -13,7 +13,6 @@ from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
-from ..plan.edges import phase_gradient
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
     SHADOWS_ON_OPENING,
@@ -49,9 +48,6 @@ _FEW_PAIRS = 300_000
 _QUADRATURE_SHARE = 1e-3
 """Part of the tolerance to which the integral over an opening is resolved: it converges so fast that this costs little."""
 
-_GRADIENT_SAFETY = 1.05
-"""Factor on the sampled phase gradient, for what lies between the samples."""
-
 
 @dataclass(frozen=True)
 class ChannelField:
@@ -72,15 +68,17 @@ def channel_field(
     if not channel.openings:
         return _without_openings(setup, scatterers, channel, grid, lobe)
     options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
-    sources, weights, axes, opening = scatterers.position, scatterers.amplitude, setup.frame.axes, None
+    sources, weights, opening = scatterers.position, scatterers.amplitude, None
     tolerance = max(options.tolerance / (len(channel.openings) + 1), 1e-8)
     quadrature = max(_QUADRATURE_SHARE * tolerance, TIGHTEST)
     stages: list[Stage] = []
     for number, rim in enumerate(channel.openings):
         began = time.perf_counter()
-        targets = _next_targets(channel, number, grid)
+        gradient = channel.gradients[number]
         try:
-            nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, quadrature)
+            nodes, areas = opening_nodes(
+                rim.plane.outline, rim.plane.frame, gradient.bound, quadrature, gradient.tilt
+            )
         except InputError as error:
             raise SceneError(
                 f"opening {rim.name!r}: {error}; "
@@ -93,7 +91,7 @@ def channel_field(
             result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
             values, results = result.field, [(result.how, result.numerical_error)]
         stages += _sums((rim.name,), results, began, nodes.size)
-        sources, weights, axes = nodes.points(), values * areas, rim.plane.frame.axes
+        sources, weights = nodes.points(), values * areas
         opening = (rim.normal, rim.index)
     began = time.perf_counter()
     path = _path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
@@ -245,27 +243,6 @@ def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: 
     if between:
         return TracedLeg(Sequence((*between, end)), wavelength, opening)
     return FreeSpace() if opening is None else RayleighSommerfeld(opening[0], wavelength)
-
-
-# Quadrature of an opening
-
-
-def _nodes(
-    channel: Channel, number: int, rim: Rim, sources: np.ndarray, targets: np.ndarray, wavelength: float,
-    tolerance: float,
-) -> tuple[PlanePoints, np.ndarray]:  # fmt: skip
-    """Nodes and areas on an opening that resolve the phase of all light from sources to targets over it."""
-    before = channel.openings[number - 1] if number > 0 else None
-    after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
-    gradient = phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY)
-    return opening_nodes(rim.plane.outline, rim.plane.frame, gradient.bound, tolerance, gradient.tilt)
-
-
-def _next_targets(channel: Channel, number: int, grid: PlaneGrid) -> np.ndarray:
-    """Samples of the next opening, or of the detector, (n, 3)."""
-    if number + 1 < len(channel.openings):
-        return opening_samples(channel.openings[number + 1].plane)
-    return detector_samples(grid)
 
 
 # Shadows

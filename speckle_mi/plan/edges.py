@@ -21,7 +21,7 @@ from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes
 from .routes import hole_places
 from .setup import Setup
-from .way import Channel, Rim
+from .way import Channel, PhaseGradient, Rim
 
 CUTS = 1.5
 """Fresnel parameter of the nearest ray below which a rim cuts into the light: no share of its wave says how much."""
@@ -34,6 +34,12 @@ AFFORDABLE_NODES = 200_000
 
 _DETECTOR_SIDE = 5
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
+_FINE = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), 12
+"""Rings on an opening, and places a ring, at which the phase's gradient is looked at."""
+
+_GRADIENT_SAFETY = 1.08
+"""Factor on the sampled phase gradient, for what lies between the samples."""
+
 _RIM_POINTS = 48
 _INSIDE_RIM = 1 - 1e-6
 _LIMITING_SHARE = 0.01
@@ -53,17 +59,6 @@ class EdgeWave:
     rim: Rim
     v: float
     wave: float
-
-
-@dataclass(frozen=True)
-class PhaseGradient:
-    """Bound on the gradient of the light's phase over an opening [rad/mm]: of its length, or along x and y.
-
-    tilt: across the radius and at the centre, where from there to the rim it stays below a straight line, else None.
-    """
-
-    bound: float | tuple[float, float]
-    tilt: float | None = None
 
 
 def chosen_edges(
@@ -108,6 +103,24 @@ def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
     return [channel.rims[k] for k in order if shares[k] > _LIMITING_SHARE]
 
 
+def phase_gradients(channel: Channel, spots: np.ndarray, wavelength: float) -> tuple[PhaseGradient, ...]:
+    """Bounds on the phase gradient over every opening of a channel, for light from places on the spot (n, 3).
+
+    Raises InputError, naming the opening, where no ray leads over one.
+    """
+    found = []
+    for number, rim in enumerate(channel.openings):
+        before = channel.openings[number - 1] if number > 0 else None
+        after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
+        sources = spots if before is None else hole_places(before.plane, *_FINE)
+        targets = detector_places(channel.grid) if after is None else hole_places(after.plane, *_FINE)
+        try:
+            found.append(phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY))
+        except InputError as error:
+            raise InputError(f"opening {rim.name!r}: {error}") from None
+    return tuple(found)
+
+
 def phase_gradient(
     channel: Channel,
     rim: Rim,
@@ -123,7 +136,7 @@ def phase_gradient(
     before, after: openings that these lie on, None for the spot and the detector; safety: factor on what is sampled.
     Raises InputError where no ray leads over the rim.
     """
-    samples = hole_places(rim.plane, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), 12)
+    samples = hole_places(rim.plane, *_FINE)
     leading, trailing, end = _pieces(channel, rim, before, after)
     coming = aim(Sequence((*leading, rim.end)), np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0))
     going = aim(Sequence((*trailing, end)), np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1)))

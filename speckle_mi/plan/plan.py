@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
@@ -18,7 +19,7 @@ from ..optics.unfold import unfold
 from ..propagation.coherent_sum import CERTAINTY
 from .setup import Setup
 from ..scene.errors import SceneError
-from .edges import SHARE, all_affordable, chosen_edges, limiting_rims
+from .edges import SHARE, PhaseGradient, all_affordable, chosen_edges, limiting_rims, phase_gradients
 from .routes import Route, find_routes, points_on
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 from .stage import (
@@ -146,6 +147,8 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
         stages.append(Stage(TRACED, tuple(dict.fromkeys(traced))))
     stages += decisions
     channel = replace(bare, openings=openings)
+    if openings and setup.assembly.options.method != "rays":
+        channel = replace(channel, gradients=_gradients(setup, channel))
     if openings:
         channel = replace(channel, hidden=hidden_pixels(setup, channel))
     if setup.assembly.options.diffraction and setup.assembly.options.method != "rays":
@@ -156,6 +159,16 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
         stages=tuple(replace(stage, way=route.label) for stage in stages),
         left_out=float(np.sqrt(np.sum(np.square(left_out)))),
     )
+
+
+def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
+    """How steep the light's phase is over every opening. Raises SceneError where no light leads over one."""
+    try:
+        return phase_gradients(channel, spot_samples(setup), setup.assembly.beam.wavelength)
+    except InputError as error:
+        raise SceneError(
+            f"way {channel.route.label}: {error}; put a smaller stop, or set diffraction to false where there is no focus"
+        ) from None
 
 
 def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Stage]:
@@ -254,10 +267,16 @@ def spot_samples(setup: Setup) -> np.ndarray:
             np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
             axis=0,
         )
-    size = setup.assembly.beam.cutoff if np.isfinite(setup.assembly.beam.radius) else np.inf
-    size = min(size, 0.5 * float(np.ptp(target.surface.facets.bounds)))
-    spot = setup.spot.point
-    return np.array([spot, *(spot + size * sign * setup.frame.axes[:, k] for k in (0, 1) for sign in (-1, 1))])
+    beam, spot, normal = setup.assembly.beam, setup.spot.point, setup.spot.normal
+    largest = 0.5 * float(np.ptp(target.surface.facets.bounds))
+    # An ellipse, longest where the beam runs along the surface.
+    along = beam.axis - (beam.axis @ normal) * normal
+    first = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else setup.frame.axes[:, 0]
+    second = np.cross(normal, first)
+    across = min(beam.cutoff, largest)
+    sizes = (min(across / max(abs(float(normal @ beam.axis)), 1e-3), largest), across)
+    ends = (size * sign * axis for size, axis in zip(sizes, (first, second), strict=True) for sign in (-1, 1))
+    return np.array([spot, *(spot + end for end in ends)])
 
 
 def _detector_samples(grid: PlaneGrid) -> np.ndarray:

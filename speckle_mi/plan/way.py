@@ -43,12 +43,23 @@ class Rim:
 
 
 @dataclass(frozen=True)
+class PhaseGradient:
+    """Bound on the gradient of the light's phase over an opening [rad/mm]: of its length, or along x and y.
+
+    tilt: across the radius and at the centre, where from there to the rim it stays below a straight line, else None.
+    """
+
+    bound: float | tuple[float, float]
+    tilt: float | None = None
+
+
+@dataclass(frozen=True)
 class Channel:
     """One route with everything that its field is computed from.
 
     interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
     diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
-    stages: what is done for it; left_out: what the waves of edges that are not diffracted at amount to, relative to the
+    stages: what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are not diffracted at amount to, relative to the
     field; hidden: pixels (rows, columns) that something hides from a part of the last opening.
     """
 
@@ -58,6 +69,7 @@ class Channel:
     openings: tuple[Rim, ...]
     rims: tuple[Rim, ...]
     stages: tuple[Stage, ...]
+    gradients: tuple[PhaseGradient, ...] = ()
     left_out: float = 0.0
     hidden: np.ndarray | None = None
 
