@@ -240,6 +240,9 @@ def ray_channel(
 def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):
     """What leads from point set ``number`` of the channel to the next, which lies in the plane ``end``."""
     between = channel.leg(number)
+    if between and channel.openings:
+        # Openings and shadows have their own say on rims: beside them paths are only there to be interpolated.
+        between = tuple(replace(i, surface=replace(i.surface, outline=None)) for i in between)
     if between:
         return TracedLeg(Sequence((*between, end)), wavelength, opening)
     return FreeSpace() if opening is None else RayleighSommerfeld(opening[0], wavelength)

@@ -72,8 +72,9 @@ def chosen_edges(
     unaffordable: set[int] = set()
     while True:
         chosen.sort(key=lambda rim: rim.position)
-        waves = [_edge_wave(setup, channel, rim, *_neighbours(chosen, rim), spots)
-                 for rim in channel.rims if rim not in chosen]  # fmt: skip
+        rest = [rim for rim in channel.rims if rim not in chosen]
+        waves = [_between_rims(setup, channel, rim, twin) if (twin := _twin(chosen, rim)) is not None
+                 else _edge_wave(setup, channel, rim, *_neighbours(chosen, rim), spots) for rim in rest]  # fmt: skip
         wanted = [one for one in waves if _counts(setup, one) and one.rim.number not in unaffordable]
         if not wanted:
             return tuple(chosen), tuple(waves)
@@ -82,6 +83,27 @@ def chosen_edges(
             chosen.append(nearest.rim)
         else:
             unaffordable.add(nearest.rim.number)
+
+
+def _twin(chosen: list[Rim], rim: Rim) -> Rim | None:
+    """The chosen rim of the same glass's other face, which is one pupil with this one."""
+    return next((one for one in chosen if not rim.is_screen and one.name == rim.name
+                 and abs(one.number - rim.number) == 1), None)  # fmt: skip
+
+
+def _between_rims(setup: Setup, channel: Channel, rim: Rim, twin: Rim) -> EdgeWave:
+    """What the second rim of a glass does to light that the first has cut: along a seam of the width s = sqrt(lambda t / 2).
+
+    t is the distance of the two. Of the field in the pupil that is about a third of the root of the seam's share of the
+    area; it spreads over angles of lambda/s, of which the detector takes its part. The rim casts a geometric shadow.
+    """
+    apart = float(np.linalg.norm(rim.plane.frame.origin - twin.plane.frame.origin))
+    seam = np.sqrt(setup.assembly.beam.wavelength * apart / 2)
+    in_pupil = np.sqrt(2 * seam / min(rim.plane.outline.half_size)) / 3
+    distance = float(np.linalg.norm(channel.grid.centre - rim.plane.frame.origin))
+    spread = setup.assembly.beam.wavelength / max(seam, 1e-300) * distance
+    taken = min(1.0, 2 * max(channel.grid.half_size) / spread)
+    return EdgeWave(rim, np.inf, float(min(1.0, in_pupil * np.sqrt(taken))))
 
 
 def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
@@ -172,7 +194,7 @@ def detector_places(grid: PlaneGrid, side: int = _DETECTOR_SIDE) -> np.ndarray:
 
 
 def _counts(setup: Setup, one: EdgeWave) -> bool:
-    return one.v < CUTS or one.wave > SHARE * setup.assembly.options.tolerance
+    return one.v < CUTS or (np.isfinite(one.v) and one.wave > SHARE * setup.assembly.options.tolerance)
 
 
 def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], spots: np.ndarray) -> bool:

@@ -18,6 +18,7 @@ from ..optics.trace import trace
 from ..optics.unfold import unfold
 from ..propagation.coherent_sum import CERTAINTY
 from .setup import Setup
+from ..scattering.beam import TRUNCATION
 from ..scene.errors import SceneError
 from .edges import SHARE, PhaseGradient, all_affordable, chosen_edges, limiting_rims, phase_gradients
 from .routes import Route, find_routes, points_on
@@ -38,7 +39,7 @@ from .stage import (
     Stage,
 )
 from .strength import Strength, strength_of
-from .way import Channel, Rim, rims_of
+from .way import Channel, Rim, rims_of, with_slack
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
@@ -134,7 +135,7 @@ def _main_blocker(stopped) -> str:
 
 def _bare(setup: Setup, route: Route) -> Channel:
     """A route with plane mirrors unfolded, before anything is decided."""
-    interactions, grid = unfold(route.interactions, setup.assembly.detector)
+    interactions, grid = unfold(with_slack(route.interactions), setup.assembly.detector)
     return Channel(route, interactions, grid, (), rims_of(setup.spot.point, route.names, interactions, grid.centre), ())
 
 
@@ -273,7 +274,7 @@ def spot_samples(setup: Setup) -> np.ndarray:
     along = beam.axis - (beam.axis @ normal) * normal
     first = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else setup.frame.axes[:, 0]
     second = np.cross(normal, first)
-    across = min(beam.cutoff, largest)
+    across = min(TRUNCATION * beam.radius_at(spot), largest)
     sizes = (min(across / max(abs(float(normal @ beam.axis)), 1e-3), largest), across)
     ends = (size * sign * axis for size, axis in zip(sizes, (first, second), strict=True) for sign in (-1, 1))
     return np.array([spot, *(spot + end for end in ends)])

@@ -8,7 +8,7 @@ of the patches of the spot that they lie in.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -19,6 +19,7 @@ from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix
+from .routes import hole_places
 from .setup import Setup
 from .tracer import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
@@ -43,6 +44,9 @@ _SOURCES_AT_ONCE = 32
 """Sources whose rays are aimed together."""
 
 _RING_SAMPLES, _ANGLE_SAMPLES = 5, 12
+
+_ALMOST_RIM = 0.97
+"""Part of the way to an opening's rim from where the view of the detector must be free."""
 
 
 def opening_samples(plane: Surface) -> np.ndarray:
@@ -221,7 +225,8 @@ class _Part:
         ]
         places = (start.number + 1 if start else 0, *(i + 1 for i in inner), end.number + 1 if end else count + 1)
         plane = end.end if end else detector_plane(channel.grid)
-        return cls(channel, places, tuple(channel.interactions[i] for i in inner), plane)
+        own = {rim.number for rim in (start, end) if rim}
+        return cls(channel, places, tuple(_without_rim(channel.interactions[i], i in own) for i in inner), plane)
 
     def rays(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points (p, n, 3) of the rays from sources to targets (n, 3), ends included, and clearances (r, n) of rims."""
@@ -305,6 +310,11 @@ class _Part:
         return folded
 
 
+def _without_rim(interaction: Interaction, is_own: bool) -> Interaction:
+    """An interaction without an outline where that is the opening at which the part begins or ends."""
+    return replace(interaction, surface=replace(interaction.surface, outline=None)) if is_own else interaction
+
+
 def _interpolated(rows: np.ndarray, values: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """From nodes (n, n) to places (rows, columns)."""
     return rows @ values @ columns.T
@@ -369,8 +379,7 @@ def hidden_pixels(setup: Setup, channel: Channel) -> np.ndarray | None:
     part, grid = _Part.between(channel, channel.openings[-1], None), channel.grid
     if not part.interactions and not setup.assembly.elements:
         return None
-    outer = opening_samples(channel.openings[-1].plane)
-    outer = np.concatenate([outer[-1:], outer[:-1][-_ANGLE_SAMPLES:]])
+    outer = hole_places(channel.openings[-1].plane, (0.0, _ALMOST_RIM), _ANGLE_SAMPLES)
     shape = tuple(min(_COARSE, count) for count in grid.shape)
     hidden = ~np.all(list(part.lit(setup, outer, grid, shape, rims=True)), axis=0)
     if not np.any(hidden):

@@ -54,7 +54,7 @@ class Stage:
     def to_json(self) -> dict:
         """What there is to say, as JSON can hold it."""
         content = asdict(self) | {"how": asdict(self.how) if self.how else None}
-        return {name: value for name, value in content.items() if value not in (None, "", ())}
+        return {name: value for name, value in content.items() if not (value is None or value == "" or value == ())}
 
     @classmethod
     def from_json(cls, content: dict) -> Stage:

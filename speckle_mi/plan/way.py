@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from .stage import Stage
 _SAME_PLACE = 1e-6
 """Distance [mm] up to which two places are one: light has no direction between them."""
 
+_ROOM = 1.5
+"""Factor on how far a face bends beyond its rim, for rays aslant."""
+
 
 @dataclass(frozen=True)
 class Rim:
@@ -25,7 +28,8 @@ class Rim:
 
     name: element; plane: the plane of the rim with its outline; number: of the interaction whose outline it is;
     position: number of interactions before the plane; index: of the medium there; is_screen: whether it is an aperture
-    or a mirror's edge rather than a lens's; normal: (3,) of the plane, on the side that light goes on to.
+    or a mirror's edge rather than a lens's; normal: (3,) of the plane, on the side that light goes on to;
+    slack: how far behind the curved surface beside it the plane may lie for rays outside the rim [mm].
     """
 
     name: str
@@ -35,11 +39,12 @@ class Rim:
     index: float
     is_screen: bool
     normal: np.ndarray
+    slack: float = 0.0
 
     @property
     def end(self) -> Interaction:
         """The rim's plane, unbounded, as the end of a sequence."""
-        return Interaction.through(Surface(self.plane.frame), self.index)
+        return replace(Interaction.through(Surface(self.plane.frame), self.index), slack=self.slack)
 
 
 @dataclass(frozen=True)
@@ -90,6 +95,22 @@ class Channel:
         return tuple(i for i in self.interactions[first:last] if i.action != "pass")
 
 
+def with_slack(interactions: tuple[Interaction, ...]) -> tuple[Interaction, ...]:
+    """Interactions whose curved faces may lie behind the planes of their own rims, for rays outside these."""
+    return tuple(
+        replace(one, slack=max(one.slack, _beyond_rim(one.surface))) if one.action != "pass" else one
+        for one in interactions
+    )
+
+
+def _beyond_rim(surface: Surface) -> float:
+    """How far [mm] a curved face goes on to bend around its rim, at the corners of a square around it."""
+    if surface.is_plane or surface.outline is None:
+        return 0.0
+    squared = surface.outline.reach**2
+    return _ROOM * float(abs(surface.sag(np.array(2 * squared)) - surface.sag(np.array(squared))))
+
+
 def rims_of(
     spot: np.ndarray, names: tuple[str, ...], interactions: tuple[Interaction, ...], end: np.ndarray
 ) -> tuple[Rim, ...]:
@@ -136,5 +157,5 @@ def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -
         sag = 0.0  # light never comes to the plane of a convex mirror's rim: take the one through its vertex
     plane = Surface(Frame(surface.frame.origin + sag * axis, surface.frame.axes), outline=outline)
     if bulges and interaction.action == "refract":
-        return Rim(name, plane, number, number + 1, interaction.index_after, False, normal)
-    return Rim(name, plane, number, number, interaction.index_before, False, normal)
+        return Rim(name, plane, number, number + 1, interaction.index_after, False, normal, _beyond_rim(surface))
+    return Rim(name, plane, number, number, interaction.index_before, False, normal, _beyond_rim(surface))
