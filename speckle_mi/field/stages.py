@@ -13,16 +13,15 @@ from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
+from ..plan.places import FINE, detector_places, hole_places
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
     SHADOWS_ON_OPENING,
-    detector_samples,
     extremes,
     has_shadow,
     is_clear,
     lit_nodes,
     lit_pixels,
-    opening_samples,
     shadowed_sum,
     shapes_beside_way,
 )
@@ -112,7 +111,7 @@ def _without_openings(
     clear = is_clear(setup, channel, scatterers.position, setup.frame.axes)
     how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance
     values, results, share = None, [], None
-    for term in _lobe_terms(setup, scatterers, channel, None, detector_samples(grid), lobe):
+    for term in _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe):
         weights = scatterers.amplitude * term.sources
         result = _summed(channel, path, scatterers.position, weights, grid, *how)
         field, error = result.field.reshape(grid.shape), result.numerical_error
@@ -134,7 +133,7 @@ def _on_first_opening(
     how = wavelength, options.method, tolerance
     sources, values, results = scatterers.position, None, []
     shadowed = has_shadow(channel, rim, sources, setup.frame.axes)
-    for term in _lobe_terms(setup, scatterers, channel, rim, opening_samples(rim.plane), lobe):
+    for term in _lobe_terms(setup, scatterers, channel, rim, hole_places(rim.plane, *FINE), lobe):
         weights = scatterers.amplitude * term.sources
         result = _summed(channel, path, sources, weights, nodes, *how)
         field, error = result.field, result.numerical_error
@@ -215,7 +214,7 @@ def ray_channel(
     rays, wavelength, began = setup.assembly.options.rays_per_source, setup.assembly.beam.wavelength, time.perf_counter()
     sources, values, traced, warnings = scatterers.position, None, 0, []
     beside = shapes_beside_way(setup, channel, extremes(sources, setup.frame.axes))
-    for term in _lobe_terms(setup, scatterers, channel, None, detector_samples(grid), lobe):
+    for term in _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe):
         weights = scatterers.amplitude * term.sources
         result = ray_field(sequence, grid, sources, weights, wavelength, rays)
         field = result.field

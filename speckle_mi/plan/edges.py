@@ -14,12 +14,11 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.outline import Circle
-from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes
-from .routes import hole_places
+from .places import FINE, detector_places, hole_places
 from .setup import Setup
 from .way import Channel, PhaseGradient, Rim
 
@@ -32,11 +31,7 @@ SHARE = 0.3
 AFFORDABLE_NODES = 200_000
 """Nodes up to which a rim that only touches the light is diffracted at."""
 
-_DETECTOR_SIDE = 5
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
-_FINE = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), 12
-"""Rings on an opening, and places a ring, at which the phase's gradient is looked at."""
-
 _GRADIENT_SAFETY = 1.08
 """Factor on the sampled phase gradient, for what lies between the samples."""
 
@@ -134,8 +129,8 @@ def phase_gradients(channel: Channel, spots: np.ndarray, wavelength: float) -> t
     for number, rim in enumerate(channel.openings):
         before = channel.openings[number - 1] if number > 0 else None
         after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
-        sources = spots if before is None else hole_places(before.plane, *_FINE)
-        targets = detector_places(channel.grid) if after is None else hole_places(after.plane, *_FINE)
+        sources = spots if before is None else hole_places(before.plane, *FINE)
+        targets = detector_places(channel.grid) if after is None else hole_places(after.plane, *FINE)
         try:
             found.append(phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY))
         except InputError as error:
@@ -158,7 +153,7 @@ def phase_gradient(
     before, after: openings that these lie on, None for the spot and the detector; safety: factor on what is sampled.
     Raises InputError where no ray leads over the rim.
     """
-    samples = hole_places(rim.plane, *_FINE)
+    samples = hole_places(rim.plane, *FINE)
     leading, trailing, end = _pieces(channel, rim, before, after)
     coming = aim(Sequence((*leading, rim.end)), np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0))
     going = aim(Sequence((*trailing, end)), np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1)))
@@ -183,14 +178,6 @@ def phase_gradient(
     largest = float(length.max())
     grows_evenly = np.all(length <= (tilt + (largest - tilt) * radius / outline.radius) * safety + 1e-9)
     return PhaseGradient(safety * largest, safety * tilt if grows_evenly else None)
-
-
-def detector_places(grid: PlaneGrid, side: int = _DETECTOR_SIDE) -> np.ndarray:
-    """World points (side^2, 3) over the detector, from edge to edge."""
-    share = np.linspace(-1, 1, side)
-    half_u, half_v = grid.half_size
-    a, b = (values.ravel() for values in np.meshgrid(share, share))
-    return grid.centre + (half_u * a)[:, None] * grid.u + (half_v * b)[:, None] * grid.v
 
 
 def _counts(setup: Setup, one: EdgeWave) -> bool:

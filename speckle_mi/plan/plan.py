@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
 from ..errors import InputError
 from ..geometry.plane import PlaneGrid
@@ -21,11 +22,13 @@ from .setup import Setup
 from ..scattering.beam import TRUNCATION
 from ..scene.errors import SceneError
 from .edges import SHARE, PhaseGradient, all_affordable, chosen_edges, limiting_rims, phase_gradients
-from .routes import Route, find_routes, points_on
+from .places import points_on
+from .routes import Route, find_routes
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 from .stage import (
     BESIDE,
     CLEAR,
+    CUT,
     DIFFRACTED,
     FREE_SPACE,
     LEFT_OUT,
@@ -175,7 +178,8 @@ def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
 def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Stage]:
     """A stage on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
 
-    Raises SceneError where such a shape cuts the light.
+    A shape that cuts the light of a way without openings casts its geometric shadow, and the wave of its edge is stated.
+    Raises SceneError where one cuts the light on its way to an opening.
     """
     wave = 1.0
     if channel.openings:
@@ -185,9 +189,11 @@ def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Sta
         lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
         if names and not np.any(lit):
             return []  # hidden altogether: stays dark
-        if np.all(lit):
-            v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
-            wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 1.0
+        if names and not np.all(lit):
+            wave = _wave_of_shadow(setup, channel, spots, lit)
+            return [Stage(CUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
+        v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
+        wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 0.5
     if not names:
         return []
     named = " or ".join(map(repr, dict.fromkeys(names)))
@@ -198,6 +204,22 @@ def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Sta
             "diffraction to false for its geometric shadow"
         )
     return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
+
+
+def _wave_of_shadow(setup: Setup, channel: Channel, spots: np.ndarray, lit: np.ndarray) -> float:
+    """Rms wave of the edge of shadows on the detector, relative to the light beside them.
+
+    lit: (m, rows, columns) whether pixels are lit from places on the spot (m, 3). At the distance x from the edge of a
+    shadow the wave is 1/(pi sqrt(2) v), half of the light at the most, v = x sqrt(2 / (lambda L)) for an edge half way.
+    """
+    length = float(np.linalg.norm(channel.grid.centre - spots[0]))
+    scale = channel.grid.pitch * np.sqrt(2 / (setup.assembly.beam.wavelength * length))
+    power = 0.0
+    for one in lit:
+        v = scale * np.maximum(np.maximum(distance_transform_edt(one), distance_transform_edt(~one)) - 0.5, 0.0)
+        with np.errstate(divide="ignore"):
+            power += np.mean(np.minimum(0.5, 1 / (np.pi * np.sqrt(2) * v)) ** 2)
+    return float(min(1.0, CERTAINTY * np.sqrt(power / max(np.mean(lit) * len(lit), 1e-300))))
 
 
 def _unfolded(route: Route) -> list[Stage]:

@@ -16,10 +16,9 @@ from scipy.ndimage import binary_dilation
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
-from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix
-from .routes import hole_places
+from .places import FINE, detector_places, hole_places
 from .setup import Setup
 from .tracer import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
@@ -43,26 +42,10 @@ _COARSE = 96
 _SOURCES_AT_ONCE = 32
 """Sources whose rays are aimed together."""
 
-_RING_SAMPLES, _ANGLE_SAMPLES = 5, 12
+_ANGLE_SAMPLES = 12
 
 _ALMOST_RIM = 0.97
 """Part of the way to an opening's rim from where the view of the detector must be free."""
-
-
-def opening_samples(plane: Surface) -> np.ndarray:
-    """World points (n, 3) spread over an opening: its centre, and rings out to the rim."""
-    share = np.arange(1, _RING_SAMPLES + 1) / _RING_SAMPLES
-    angle = 2 * np.pi * np.arange(_ANGLE_SAMPLES) / _ANGLE_SAMPLES
-    x, y = (np.append(0.0, np.outer(share, edge)) for edge in plane.outline.edge(angle))
-    return plane.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
-
-
-def detector_samples(grid: PlaneGrid) -> np.ndarray:
-    """World points (25, 3) over the detector, edges included."""
-    side = np.linspace(-1, 1, 5)
-    return _places(
-        grid, side * grid.shape[0] / max(grid.shape[0] - 1, 1), side * grid.shape[1] / max(grid.shape[1] - 1, 1)
-    )
 
 
 def extremes(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -176,7 +159,7 @@ def clearance_of_shapes(
 
 def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarray, np.ndarray]:
     """The whole way, and starts and ends (n, 3) of rays from all sources to places all over the detector."""
-    targets = detector_samples(channel.grid)
+    targets = detector_places(channel.grid)
     return _Part.whole(channel), np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
 
 
@@ -339,7 +322,7 @@ def lit_nodes(channel: Channel, rim: Rim, sources: np.ndarray, points: np.ndarra
 
 def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
     """Whether a rim that is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
-    outermost, samples = extremes(sources, axes), opening_samples(rim.plane)
+    outermost, samples = extremes(sources, axes), hole_places(rim.plane, *FINE)
     starts, over = np.repeat(outermost, len(samples), axis=0), np.tile(samples, (len(outermost), 1))
     return not np.all(_clearance_over(channel, rim, starts, over) > _SAFE_MARGIN)
 
@@ -366,7 +349,7 @@ def shapes_before(setup: Setup, channel: Channel, spots: np.ndarray) -> list[str
     """Names of shapes that cut the light on its way from samples of the spot (n, 3) to the last opening."""
     starts, rim, names = spots, None, []
     for opening in channel.openings:
-        part, ends = _Part.between(channel, rim, opening), opening_samples(opening.plane)
+        part, ends = _Part.between(channel, rim, opening), hole_places(opening.plane, *FINE)
         points, _ = part.rays(np.repeat(starts, len(ends), axis=0), np.tile(ends, (len(starts), 1)))
         if not np.all(part.unblocked(setup, points)):
             names += part.shapes_beside(setup, points)

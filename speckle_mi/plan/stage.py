@@ -15,6 +15,7 @@ NOT_DIFFRACTED = "not diffracted"
 CLEAR = "clear"
 SHADOWS = "geometric shadows"
 LEFT_OUT = "left out"
+CUT = "cut"
 OTHER_WAY = "other way"
 NO_WAY = "no way"
 BESIDE = "beside the detector"
@@ -92,6 +93,11 @@ def in_words(stage: Stage) -> str:
             return (
                 f"left out: the wave of the edge of {quoted}, which stands beside the light "
                 f"(at most {stage.predicted_error:.1%} of the field)"
+            )
+        case "cut":
+            return (
+                f"{quoted} cuts a part of the light: geometric shadow; "
+                f"left out: the wave of its edge (about {stage.predicted_error:.1%} of the field)"
             )
         case "other way":
             return f"left out: {stage.way}, light that edges alone throw there (about {stage.predicted_error:.1e} of the field)"
