@@ -20,7 +20,7 @@ from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes
 from .places import FINE, detector_places, hole_places
 from .setup import Setup
-from .way import Channel, PhaseGradient, Rim
+from .way import Channel, PhaseGradient, Rim, powers
 
 CUTS = 1.5
 """Fresnel parameter of the nearest ray below which a rim cuts into the light: no share of its wave says how much."""
@@ -108,7 +108,7 @@ def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
     for rim in channel.rims:
         places = _rim_points(rim, _RIM_POINTS)
         source = np.broadcast_to(spot, places.shape)
-        aimed = aim(Sequence((*_powers(channel, 0, rim.position), rim.end)), source, places)
+        aimed = aim(Sequence((*powers(channel, 0, rim.position), rim.end)), source, places)
         reached = aimed.converged
         free = np.zeros(len(places), dtype=bool)
         if np.any(reached):
@@ -216,17 +216,12 @@ def _ends(channel: Channel, rim: Rim | None, spots: np.ndarray | None) -> np.nda
     return detector_places(channel.grid) if spots is None else spots
 
 
-def _powers(channel: Channel, first: int, last: int) -> tuple[Interaction, ...]:
-    """The refracting and reflecting interactions in part of a way."""
-    return tuple(i for i in channel.interactions[first:last] if i.action != "pass")
-
-
 def _pieces(channel: Channel, rim: Rim, before: Rim | None, after: Rim | None):
     """What lies between the neighbours and a rim, before and behind it, and the plane of the later neighbour."""
     first = before.position if before else 0
     last = after.position if after else len(channel.interactions)
     end = after.end if after else detector_plane(channel.grid)
-    return _powers(channel, first, rim.position), _powers(channel, rim.position, last), end
+    return powers(channel, first, rim.position), powers(channel, rim.position, last), end
 
 
 def _edge_wave(
@@ -299,11 +294,11 @@ def _share_coming(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, 
         return 1.0
     holes = hole_places(before.plane, _HOLE_SHARES, _HOLE_ANGLES)
     starts, ends = np.repeat(spots, len(holes), axis=0), np.tile(holes, (len(spots), 1))
-    aimed = aim(Sequence((*_powers(channel, 0, before.position), before.end)), starts, ends)
+    aimed = aim(Sequence((*powers(channel, 0, before.position), before.end)), starts, ends)
     good = aimed.converged
     if not np.any(good):
         return 1.0
-    system = Sequence((*_powers(channel, before.position, rim.position), rim.end))
+    system = Sequence((*powers(channel, before.position, rim.position), rim.end))
     hits = trace(system, ends[good], aimed.arrival[good]).points[-1]
     hits = hits[np.all(np.isfinite(hits), axis=1)]
     if not len(hits):
@@ -323,7 +318,7 @@ def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None)
     if after is None:
         return 1.0
     _, trailing, _ = _pieces(channel, rim, None, after)
-    behind = _powers(channel, after.position, len(channel.interactions))
+    behind = powers(channel, after.position, len(channel.interactions))
     points, holes = _rim_points(rim, 16), hole_places(after.plane, _HOLE_SHARES, _HOLE_ANGLES)
     starts, ends = np.repeat(points, len(holes), axis=0), np.tile(holes, (len(points), 1))
     aimed = aim(Sequence((*trailing, after.end)), starts, ends)

@@ -23,6 +23,8 @@ from ..scattering.beam import TRUNCATION
 from ..scene.errors import SceneError
 from .edges import SHARE, PhaseGradient, all_affordable, chosen_edges, limiting_rims, phase_gradients
 from .places import points_on
+from .relay import LEFT_OUT as RELAY_ERROR
+from .relay import NEAR_CAUSTIC, with_windows
 from .routes import Route, find_routes
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 from .stage import (
@@ -35,6 +37,7 @@ from .stage import (
     NO_WAY,
     NOT_DIFFRACTED,
     OTHER_WAY,
+    RELAYED,
     SHADOWS,
     TRACED,
     UNFOLDED,
@@ -46,9 +49,6 @@ from .way import Channel, Rim, rims_of, with_slack
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
-
-NEAR_CAUSTIC = 1e-3
-"""Cross section of a ray tube, relative to free space, below which geometric optics does not apply."""
 
 _SAME_RAY = 1e-6
 """Angle [rad] up to which two rays to one place are the same."""
@@ -251,6 +251,10 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
         names = tuple(rim.name for rim in chosen)
         return chosen, [Stage(SHADOWS, names, reason="as rays are not diffracted")]
     stages = [Stage(DIFFRACTED, tuple(rim.name for rim in chosen))] if chosen else []
+    relayed = with_windows(setup, channel, chosen, spots)
+    chosen = relayed.openings
+    if relayed.windows:
+        stages.append(Stage(RELAYED, relayed.windows, predicted_error=CERTAINTY * RELAY_ERROR * len(relayed.windows)))
     left = max(waves, key=lambda one: one.wave, default=None)
     if left is not None and left.wave > 0:
         total = min(1.0, CERTAINTY * float(np.sqrt(sum(one.wave**2 for one in waves))))

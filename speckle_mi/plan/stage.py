@@ -15,6 +15,7 @@ NOT_DIFFRACTED = "not diffracted"
 CLEAR = "clear"
 SHADOWS = "geometric shadows"
 LEFT_OUT = "left out"
+RELAYED = "relayed"
 CUT = "cut"
 OTHER_WAY = "other way"
 NO_WAY = "no way"
@@ -94,6 +95,8 @@ def in_words(stage: Stage) -> str:
                 f"left out: the wave of the edge of {quoted}, which stands beside the light "
                 f"(at most {stage.predicted_error:.1%} of the field)"
             )
+        case "relayed":
+            return f"relayed: summed on a window at {named} first, as an image of an opening lies near the detector"
         case "cut":
             return (
                 f"{quoted} cuts a part of the light: geometric shadow; "

@@ -95,6 +95,11 @@ class Channel:
         return tuple(i for i in self.interactions[first:last] if i.action != "pass")
 
 
+def powers(channel: Channel, first: int, last: int) -> tuple[Interaction, ...]:
+    """The refracting and reflecting interactions in part of a way."""
+    return tuple(i for i in channel.interactions[first:last] if i.action != "pass")
+
+
 def with_slack(interactions: tuple[Interaction, ...]) -> tuple[Interaction, ...]:
     """Interactions whose curved faces may lie behind the planes of their own rims, for rays outside these."""
     return tuple(
