@@ -14,6 +14,7 @@ photons, quantisation and decorrelation are all in the residual.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,11 +99,19 @@ class Subset:
 
     reference: (rows, columns) pattern. corner, window: (row, column) of the window's first pixel and its size [px].
     weight: of `band_weight`. reach: (v, u) pixels within which residuals are correlated. valid: (rows, columns) bool,
-    False for pixels that say nothing, None if all do.
+    False for pixels of the reference that say nothing, None if all do.
     """
 
-    def __init__(self, reference, corner, window, weight, reach, valid=None) -> None:
-        self.corner, self.window, self.reach, self.valid = corner, window, reach, valid
+    def __init__(
+        self,
+        reference: np.ndarray,
+        corner: tuple[int, int],
+        window: tuple[int, int],
+        weight: np.ndarray,
+        reach: tuple[int, int],
+        valid: np.ndarray | None = None,
+    ) -> None:
+        self.corner, self.window, self.reach = corner, window, reach
         self.axes = [axis for axis in (0, 1) if reference.shape[axis] > 1]
         self.margin = tuple(MARGIN if n > 1 else 0 for n in reference.shape)
         self.size = tuple(fft.next_fast_len(w + 2 * m, real=True) if m else w for w, m in zip(window, self.margin))
@@ -111,7 +120,7 @@ class Subset:
         self.weight = weight_at(weight, (v, u))
         fades = [_fade(n, m) for n, m in zip(self.size, self.margin)]
         self.fade = fades[0][:, None] * fades[1]
-        self.kept = None if valid is None else self._valid_at((0, 0))
+        self.kept = self._kept(valid, (0, 0))
         spectrum = self._spectrum(reference, (0, 0))
         self.values = self._centred(self._window(spectrum))
         self.energy = _dot(self.values, self.values)
@@ -121,17 +130,17 @@ class Subset:
             g - (_dot(g, self.values) / self.energy) * self.values if self.energy else g for g in gradients
         ]
 
-    def _valid_at(self, displacement: tuple[int, int]) -> np.ndarray | None:
-        """Which pixels of the window hold neither in the reference nor in the moved image a masked pixel."""
-        if self.valid is None:
+    def _kept(self, valid: np.ndarray | None, displacement: tuple[int, int]) -> np.ndarray | None:
+        """Pixels of the window, displaced, that no masked pixel of an image reaches; None if that is all of them."""
+        if valid is None:
             return None
-        kept = np.ones(self.window, dtype=bool)
-        for d in {(0, 0), displacement}:
-            corner = tuple(c + x for c, x in zip(self.corner, d))
-            bad = ~padded_piece(self.valid, tuple(c - SPREAD for c in corner), tuple(w + 2 * SPREAD for w in self.window))
-            grown = fft.irfft2(fft.rfft2(bad) * fft.rfft2(np.ones((2 * SPREAD + 1,) * 2), bad.shape), bad.shape) > 0.5
-            kept &= ~grown[2 * SPREAD :, 2 * SPREAD :]
-        return kept
+        corner = tuple(c + d - SPREAD for c, d in zip(self.corner, displacement))
+        piece = padded_piece(valid, corner, tuple(w + 2 * SPREAD for w in self.window))
+        if piece.all():
+            return None
+        side = 2 * SPREAD + 1
+        kept = ndimage.minimum_filter(piece, [side if n > 1 else 1 for n in valid.shape], mode="nearest")
+        return kept[SPREAD : SPREAD + self.window[0], SPREAD : SPREAD + self.window[1]]
 
     def _spectrum(self, image: np.ndarray, displacement: tuple[int, int]) -> np.ndarray:
         corner = tuple(c + d - m for c, d, m in zip(self.corner, displacement, self.margin))
@@ -155,22 +164,24 @@ class Subset:
         v, u = self.frequency
         return (spectrum * np.exp(2j * np.pi * place[0] * v)) * np.exp(2j * np.pi * place[1] * u)
 
-    def find(self, moved: np.ndarray, displacement: tuple[int, int], start: np.ndarray) -> Found | None:
+    def find(
+        self, moved: np.ndarray, displacement: tuple[int, int], start: np.ndarray, valid: np.ndarray | None = None
+    ) -> Found | None:
         """Where the window went in ``moved``, near a whole displacement plus ``start`` (v, u) [px].
 
-        None where the iteration leaves the neighbourhood of its start or the correlation has no maximum there.
+        valid: (rows, columns) bool, False for pixels of the moved image that say nothing.
+
+        Returns None where the iteration leaves the neighbourhood of its start or the correlation has no maximum there.
         """
-        if self.valid is not None and displacement != (0, 0):
-            kept = self._valid_at(displacement)
-            if not np.array_equal(kept, self.kept):
-                return self._restricted(kept).find(moved, displacement, start)
+        if (kept := self._kept(valid, displacement)) is not None:
+            return self._restricted(kept).find(moved, displacement, start)
         spectrum = self._spectrum(moved, displacement)
         place = np.array(start, dtype=float)
         inverse = None
         for _ in range(ITERATIONS):
             values = self._centred(self._window(self._shifted(spectrum, place)))
             energy, product = _dot(values, values), _dot(values, self.values)
-            if product <= 0.0 or energy <= 0.0:
+            if product <= 0.0 or energy <= 0.0 or self.energy <= 0.0:
                 return None
             residual = (product / energy) * values - self.values
             if inverse is None and (inverse := self._inverse((product / energy) * values)) is None:
@@ -189,10 +200,8 @@ class Subset:
 
     def _restricted(self, kept: np.ndarray) -> Subset:
         """The same window with fewer pixels that count."""
-        import copy
-
-        other = copy.copy(self)
-        other.valid, other.kept = None, kept
+        other = copy(self)
+        other.kept = kept if self.kept is None else kept & self.kept
         other.values = other._centred(self.values)
         other.energy = _dot(other.values, other.values)
         other.gradients = [other._centred(g) for g in self.gradients]
