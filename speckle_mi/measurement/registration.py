@@ -122,13 +122,9 @@ class Subset:
         self.fade = fades[0][:, None] * fades[1]
         self.kept = self._kept(valid, (0, 0))
         spectrum = self._spectrum(reference, (0, 0))
-        self.values = self._centred(self._window(spectrum))
+        self.values = self.centred(self._window(spectrum))
         self.energy = _dot(self.values, self.values)
-        gradients = [self._centred(self._window(spectrum * (2j * np.pi * self.frequency[a]))) for a in self.axes]
-        # The part of a gradient that only changes the pattern's gain says nothing on its place.
-        self.gradients = [
-            g - (_dot(g, self.values) / self.energy) * self.values if self.energy else g for g in gradients
-        ]
+        self.gradients = [self.along(self._window(spectrum * (2j * np.pi * self.frequency[a]))) for a in self.axes]
 
     def _kept(self, valid: np.ndarray | None, displacement: tuple[int, int]) -> np.ndarray | None:
         """Pixels of the window, displaced, that no masked pixel of an image reaches; None if that is all of them."""
@@ -149,16 +145,25 @@ class Subset:
         spectrum *= self.weight
         return spectrum
 
+    def filtered(self, image: np.ndarray, displacement: tuple[int, int]) -> np.ndarray:
+        """The window of ``image`` at a displacement and its margin, filtered as the registration sees it."""
+        return fft.irfft2(self._spectrum(image, displacement), self.size)
+
     def _window(self, spectrum: np.ndarray) -> np.ndarray:
         inside = tuple(slice(m, m + w) for m, w in zip(self.margin, self.window))
         return fft.irfft2(spectrum, self.size)[inside]
 
-    def _centred(self, values: np.ndarray) -> np.ndarray:
+    def centred(self, values: np.ndarray) -> np.ndarray:
         """Values less their mean over the pixels that count, 0 elsewhere."""
         if self.kept is None:
             return values - values.mean()
         count = max(int(np.count_nonzero(self.kept)), 1)
         return np.where(self.kept, values - float(values[self.kept].sum()) / count, 0.0)
+
+    def along(self, gradient: np.ndarray) -> np.ndarray:
+        """A gradient of the window by a parameter less what only changes the mean and the gain of the pattern."""
+        gradient = self.centred(gradient)
+        return gradient - (_dot(gradient, self.values) / self.energy) * self.values if self.energy else gradient
 
     def _shifted(self, spectrum: np.ndarray, place: np.ndarray) -> np.ndarray:
         v, u = self.frequency
@@ -179,7 +184,7 @@ class Subset:
         place = np.array(start, dtype=float)
         inverse = None
         for _ in range(ITERATIONS):
-            values = self._centred(self._window(self._shifted(spectrum, place)))
+            values = self.centred(self._window(self._shifted(spectrum, place)))
             energy, product = _dot(values, values), _dot(values, self.values)
             if product <= 0.0 or energy <= 0.0 or self.energy <= 0.0:
                 return None
@@ -202,12 +207,9 @@ class Subset:
         """The same window with fewer pixels that count."""
         other = copy(self)
         other.kept = kept if self.kept is None else kept & self.kept
-        other.values = other._centred(self.values)
+        other.values = other.centred(self.values)
         other.energy = _dot(other.values, other.values)
-        other.gradients = [other._centred(g) for g in self.gradients]
-        other.gradients = [
-            g - (_dot(g, other.values) / max(other.energy, 1e-300)) * other.values for g in other.gradients
-        ]
+        other.gradients = [other.along(g) for g in self.gradients]
         return other
 
     def _inverse(self, values: np.ndarray) -> np.ndarray | None:
@@ -222,19 +224,26 @@ class Subset:
         return np.linalg.inv(slope)
 
     def _score_variance(self, values: np.ndarray, product: float, energy: float) -> np.ndarray:
-        """Covariance of the sums of gradient times residual: of their boxes, which overlap (Bartlett's weights)."""
         # What the moved image does not share with the reference. The whole sum is the same with the residual of the
         # iteration, but in a box gradient times pattern is not 0.
         residual = (product / energy) * (values - (product / self.energy) * self.values)
-        box = tuple(min(2 * r + 1, max(w // 3, 1)) for r, w in zip(self.reach, self.window))
-        sums = []
-        for gradient in self.gradients:
-            score = gradient * residual
-            for axis, side in enumerate(box):
-                running = np.cumsum(np.pad(score, [(side, side - 1) if a == axis else (0, 0) for a in (0, 1)]), axis)
-                lead = np.moveaxis(running, axis, 0)
-                score = np.moveaxis(lead[side:] - lead[:-side], 0, axis)
-            sums.append(score)
-        # The whole sum is zero where the iteration ends, which takes this share of the variance away.
-        left = 1.0 - np.prod(box) / np.prod(self.window)
-        return np.array([[_dot(a, b) for b in sums] for a in sums]) / (np.prod(box) * left)
+        return score_variance(self.gradients, residual, self.reach)
+
+
+def score_variance(gradients: list[np.ndarray], residual: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
+    """Covariance (n, n) of the sums of n gradients (rows, columns) times a residual that is correlated over ``reach``.
+
+    Of the sums over boxes that overlap, which are Bartlett's weights of the lags.
+    """
+    box = tuple(min(2 * r + 1, max(w // 3, 1)) for r, w in zip(reach, residual.shape))
+    sums = []
+    for gradient in gradients:
+        score = gradient * residual
+        for axis, side in enumerate(box):
+            running = np.cumsum(np.pad(score, [(side, side - 1) if a == axis else (0, 0) for a in (0, 1)]), axis)
+            lead = np.moveaxis(running, axis, 0)
+            score = np.moveaxis(lead[side:] - lead[:-side], 0, axis)
+        sums.append(score)
+    # The whole sum is zero where the iteration ends, which takes this share of the variance away.
+    left = 1.0 - np.prod(box) / np.prod(residual.shape)
+    return np.array([[_dot(a, b) for b in sums] for a in sums]) / (np.prod(box) * left)
