@@ -19,6 +19,7 @@ import numpy as np
 
 from .covariance import as_image, deviation, in_range
 from .defects import Defects, defects_of, mosaic_gains, repaired, without_mosaic
+from .deformation import Deformation
 from .light import flatten, smoothing_of
 from .matching import Matcher
 from .shift import Shift, no_shift
@@ -110,7 +111,7 @@ class Correlator:
         )
         if window is None:
             self._window = _lit_window(image, self._window)
-        self._image, self._defects = _cleaned(image, self._mask)
+        self._image, self._defects, self._mosaic = _cleaned(image, self._mask)
         self._smoothing = self._asked or _uneven(self._image)
 
     def shift(self, moved: np.ndarray) -> Shift:
@@ -129,7 +130,7 @@ class Correlator:
         if self._image is None:
             self._prepare()
         image = as_image(moved, "moved image")
-        raw, (image, defects) = image, _cleaned(image, self._mask)
+        raw, (image, defects, mosaic) = image, _cleaned(image, self._mask)
         for name, values, given, found in (
             ("reference", self._image, self._raw, self._defects), ("moved", image, raw, defects)
         ):  # fmt: skip
@@ -146,7 +147,23 @@ class Correlator:
             name = "reference" if matcher is None else "moved"
             return no_shift("no contrast", f"the {name} image has no texture, only a slope of light", self._window)
         found = matcher.shift(pattern, self._valid(defects))
-        return _noted(found, self._defects.shared(defects))
+        return _noted(found, self._defects.shared(defects), self._mosaic or mosaic)
+
+    def deformation(self, moved: np.ndarray, shift: Shift, fit: str) -> Deformation | None:
+        """How the window was turned and strained besides a shift that was measured; None where that is not to be had.
+
+        fit: one of `deformation.FITS`.
+        """
+        if not shift.ok or math.isnan(shift.u_px) or math.isnan(shift.v_px):
+            return None
+        if self._middle is not None and shift.window == self._middle.window:
+            return self._middle.deformation(np.asarray(moved)[self._place], shift, fit)
+        if self._image is None:
+            self._prepare()
+        image, _, _ = _cleaned(as_image(moved, "moved image"), self._mask)
+        smoothing = self._smoothing or _uneven(image)
+        matcher, pattern = self._matcher(smoothing), _pattern(image, smoothing)
+        return None if matcher is None or pattern is None else matcher.deformation(pattern, shift, fit)
 
     def _matcher(self, smoothing: float | None) -> Matcher | None:
         """The reference's window, of its pattern without what a smoothing takes off; None without a pattern."""
@@ -174,15 +191,15 @@ def _checked_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray
     return None if mask.all() else mask
 
 
-def _cleaned(image: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, Defects]:
-    """An image without mosaic and with what stands out or is masked filled in; and what stood out."""
+def _cleaned(image: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, Defects, bool]:
+    """An image without mosaic and with what stands out or is masked filled in; what stood out; whether it was a mosaic."""
     image = in_range(image)
     if (gains := mosaic_gains(image)) is not None:
         image = without_mosaic(image, gains)
     if mask is not None:
         image = repaired(image, ~mask)
     defects = defects_of(image)
-    return (repaired(image, defects.mask) if defects.any else image), defects
+    return (repaired(image, defects.mask) if defects.any else image), defects, gains is not None
 
 
 def _uneven(image: np.ndarray) -> float | None:
@@ -194,12 +211,14 @@ def _pattern(image: np.ndarray, smoothing: float | None) -> np.ndarray | None:
     return deviation(image if smoothing is None else flatten(image, smoothing))
 
 
-def _noted(found: Shift, still: Defects) -> Shift:
-    """A shift with a note on the defects that were repaired."""
-    if not still.any:
-        return found
-    note = f"what stands out at the same place of both images was left out: {still}"
-    return replace(found, message=f"{found.message}; {note}" if found.message else note)
+def _noted(found: Shift, still: Defects, mosaic: bool) -> Shift:
+    """A shift with notes on what was repaired."""
+    notes = [found.message]
+    if mosaic:
+        notes.append("every second pixel differs, as behind a colour filter mosaic (Bayer): the four kinds were evened out")
+    if still.any:
+        notes.append(f"what stands out at the same place of both images was left out: {still}")
+    return replace(found, message="; ".join(filter(None, notes)))
 
 
 def correlate(reference: np.ndarray, moved: np.ndarray, window: int | None = None) -> Shift:

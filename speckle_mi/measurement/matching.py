@@ -18,6 +18,7 @@ import numpy as np
 
 from .band import band_weight
 from .covariance import deviation
+from .deformation import Deformation, fit_deformation
 from .masked import masked_displacement
 from .ncc import Overlaps, Template
 from .peak import FEWEST_SPECKLES, PATCH, Peak, Texture, argmax, least_significant, most_significant, peak_at
@@ -155,6 +156,19 @@ class Matcher:
         result = self._subset.find(pattern, displacement, np.array(peak.offset), valid)
         note = note or still_note(surface, origin, displacement, self.texture)
         return self._found(peak, displacement, self.window, result, note)
+
+    def deformation(self, pattern: np.ndarray, shift: Shift, fit: str) -> Deformation | None:
+        """The mapping of the window that measured ``shift`` onto ``pattern``."""
+        displacement = (round(shift.v_px), round(shift.u_px))
+        size = shift.window
+        corner = tuple(
+            c if w == s else (n - s - d) // 2
+            for c, w, s, n, d in zip(self.corner, self.window, size, self.shape, displacement)
+        )
+        subset = Subset(self.reference, corner, size, self._weight, self.texture.lobe, self.valid)
+        start = np.eye(3)
+        start[:2, 2] = shift.u_px - displacement[1], shift.v_px - displacement[0]
+        return fit_deformation(subset, pattern, displacement, start, fit)
 
     def _far(self, pattern: np.ndarray, valid: np.ndarray | None) -> Shift:
         """Stage 2: the whole images over their overlap, then a window placed on both patterns."""
