@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 
 from .covariance import as_image, deviation, in_range
-from .defects import Defects, defects_of, mosaic_gains, repaired, without_mosaic
+from .defects import Defects, Usual, defects_of, mosaic_gains, repaired, without_mosaic
 from .deformation import Deformation
 from .light import flatten, smoothing_of
 from .matching import Matcher
@@ -130,22 +130,19 @@ class Correlator:
         if self._image is None:
             self._prepare()
         image = as_image(moved, "moved image")
-        raw, (image, defects, mosaic) = image, _cleaned(image, self._mask)
+        raw, (image, defects, mosaic) = image, _cleaned(image, self._mask, self._defects.usual)
+        smoothing = self._smoothing or _uneven(image)
+        matcher, pattern = self._matcher(smoothing), _pattern(image, smoothing)
         for name, values, given, found in (
-            ("reference", self._image, self._raw, self._defects), ("moved", image, raw, defects)
+            ("reference", matcher, self._raw, self._defects), ("moved", pattern, raw, defects)
         ):  # fmt: skip
-            if deviation(values) is not None:
+            if values is not None:
                 continue
             if found.any and deviation(np.asarray(given, dtype=float)) is not None:
                 message = f"all contrast of the {name} image is in what stands out of it like a defect: {found}"
                 return no_shift("not significant", message, self._window)
             message = f"the {name} image is constant, there is no pattern to follow"
             return no_shift("no contrast", message, self._window)
-        smoothing = self._smoothing or _uneven(image)
-        matcher, pattern = self._matcher(smoothing), _pattern(image, smoothing)
-        if matcher is None or pattern is None:
-            name = "reference" if matcher is None else "moved"
-            return no_shift("no contrast", f"the {name} image has no texture, only a slope of light", self._window)
         found = matcher.shift(pattern, self._valid(defects))
         return _noted(found, self._defects.shared(defects), self._mosaic or mosaic)
 
@@ -160,7 +157,7 @@ class Correlator:
             return self._middle.deformation(np.asarray(moved)[self._place], shift, fit)
         if self._image is None:
             self._prepare()
-        image, _, _ = _cleaned(as_image(moved, "moved image"), self._mask)
+        image, _, _ = _cleaned(as_image(moved, "moved image"), self._mask, self._defects.usual)
         smoothing = self._smoothing or _uneven(image)
         matcher, pattern = self._matcher(smoothing), _pattern(image, smoothing)
         return None if matcher is None or pattern is None else matcher.deformation(pattern, shift, fit)
@@ -191,14 +188,16 @@ def _checked_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray
     return None if mask.all() else mask
 
 
-def _cleaned(image: np.ndarray, mask: np.ndarray | None) -> tuple[np.ndarray, Defects, bool]:
+def _cleaned(
+    image: np.ndarray, mask: np.ndarray | None, usual: Usual | None = None
+) -> tuple[np.ndarray, Defects, bool]:
     """An image without mosaic and with what stands out or is masked filled in; what stood out; whether it was a mosaic."""
     image = in_range(image)
     if (gains := mosaic_gains(image)) is not None:
         image = without_mosaic(image, gains)
     if mask is not None:
         image = repaired(image, ~mask)
-    defects = defects_of(image)
+    defects = defects_of(image, usual)
     return (repaired(image, defects.mask) if defects.any else image), defects, gains is not None
 
 

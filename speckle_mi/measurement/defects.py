@@ -18,7 +18,10 @@ STANDS_OUT = 0.8
 BEYOND_TEXTURE = 3.0
 """Excess of a defect over that of one pixel in a thousand of the image."""
 
-SAMPLES = 20_000
+BRIGHT, DARK = 4.0, 0.1
+"""Least brightness of a hot pixel and largest of a dead one, relative to the mean."""
+
+SAMPLES = 4_000
 """Pixels by which the texture is judged."""
 
 LOCAL = 12
@@ -38,12 +41,22 @@ BRIGHT_ENOUGH = 0.25
 
 
 @dataclass(frozen=True)
+class Usual:
+    """What one pixel in a thousand of an image has by its texture alone: excess over the pixels 1 and 2 px away, and
+    deficit, over the mean, against those 1 px away."""
+
+    excess: tuple[float, float]
+    deficit: float
+
+
+@dataclass(frozen=True)
 class Defects:
-    """pixels: (rows, columns) bool, True where a pixel stands out; columns, rows: lines that do."""
+    """pixels: (rows, columns) bool, True where a pixel stands out; columns, rows: lines that do; usual: what does not."""
 
     pixels: np.ndarray
     columns: tuple[int, ...] = ()
     rows: tuple[int, ...] = ()
+    usual: Usual | None = None
 
     @property
     def mask(self) -> np.ndarray:
@@ -71,29 +84,47 @@ class Defects:
         return ", ".join(f"{n} {name}{'s' * (n > 1)}" for n, name in counts if n)
 
 
-def _largest_neighbour(image: np.ndarray, reach: int) -> np.ndarray:
-    """The largest pixel on the border of the square of half side ``reach`` around each pixel, mirrored at the edges."""
-    padded = np.pad(image, [(reach, reach) if n > reach else (0, 0) for n in image.shape], mode="reflect")
-    largest = np.full(image.shape, -np.inf)
-    for axis in (0, 1):
-        n, other = image.shape[axis], image.shape[1 - axis]
-        if n <= reach:
-            continue
-        lead = np.moveaxis(padded, axis, 0)
-        sides = np.maximum(lead[:n], lead[2 * reach : 2 * reach + n])
-        across = range(2 * reach + 1) if other > reach else (0,)
-        for shift in across:
-            np.maximum(largest, np.moveaxis(sides[:, shift : shift + other], 0, axis), out=largest)
-    return largest
+def _border(reach: int) -> list[tuple[int, int]]:
+    """Offsets (v, u) of the pixels on the border of a square of half side ``reach``."""
+    span = range(-reach, reach + 1)
+    return [(v, u) for v in span for u in span if max(abs(v), abs(u)) == reach]
 
 
-def _outliers(image: np.ndarray, level: float, reach: int) -> np.ndarray:
-    """Pixels above everything on a border around them by more than the image's texture explains."""
-    around = _largest_neighbour(image, reach)
-    excess = (image - around) / (np.abs(around) + level)
-    sample = excess.ravel()[:: max(1, excess.size // SAMPLES) | 1]
-    usual = max(0.0, float(np.quantile(sample, 0.999)))
-    return excess > max(STANDS_OUT, BEYOND_TEXTURE * usual)
+def _neighbour(image: np.ndarray, v: np.ndarray, u: np.ndarray, offset: tuple[int, int]) -> np.ndarray:
+    """Pixels at an offset from (v, u), mirrored at the image's edges."""
+    places = []
+    for place, step, n in zip((v, u), offset, image.shape):
+        place = np.abs(place + step)
+        places.append(np.minimum(place, 2 * n - 2 - place) if n > abs(step) else np.zeros_like(place))
+    return image[tuple(places)]
+
+
+def _offsets(image: np.ndarray, reach: int) -> list[tuple[int, int]]:
+    return [o for o in _border(reach) if all(n > 1 or step == 0 for n, step in zip(image.shape, o))]
+
+
+def _excess(image: np.ndarray, level: float, place: tuple[np.ndarray, np.ndarray], offset: tuple[int, int]):
+    """How far pixels are above a neighbour, relative to it and the mean."""
+    around = _neighbour(image, *place, offset)
+    return (image[place] - around) / (np.abs(around) + level)
+
+
+def _usual(image: np.ndarray, level: float) -> Usual:
+    place = np.divmod(np.arange(0, image.size, max(1, image.size // SAMPLES) | 1), image.shape[1])
+    excess = [np.min([_excess(image, level, place, o) for o in _offsets(image, reach)], axis=0) for reach in (1, 2)]
+    darkest = np.min([_neighbour(image, *place, o) for o in _offsets(image, 1)], axis=0)
+    deficit = (darkest - image[place]) / level
+    return Usual(tuple(float(np.quantile(e, 0.999)) for e in excess), float(np.quantile(deficit, 0.999)))
+
+
+def _outliers(image: np.ndarray, level: float, reach: int, usual: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places (v, u) of pixels above all on a border around them by more than the image's texture explains."""
+    least = max(STANDS_OUT, BEYOND_TEXTURE * usual)
+    place = np.nonzero(image > BRIGHT * level)
+    for offset in _offsets(image, reach):  # few are left after the first
+        kept = _excess(image, level, place, offset) > least
+        place = place[0][kept], place[1][kept]
+    return place
 
 
 def _bad_lines(image: np.ndarray, axis: int) -> tuple[int, ...]:
@@ -109,31 +140,38 @@ def _bad_lines(image: np.ndarray, axis: int) -> tuple[int, ...]:
     return tuple(int(i) for i in found) if found.size <= MOST * profile.size else ()
 
 
-def defects_of(image: np.ndarray) -> Defects:
-    """What stands out from its neighbours in one image of intensity (rows, columns)."""
-    none = np.zeros(image.shape, dtype=bool)
+def defects_of(image: np.ndarray, usual: Usual | None = None) -> Defects:
+    """What stands out from its neighbours in one image of intensity (rows, columns).
+
+    usual: of another image of the same texture, so that it need not be found again.
+    """
+    pixels = np.zeros(image.shape, dtype=bool)
     level = float(np.abs(image).mean())
     if level <= 0.0 or max(image.shape) < 8:
-        return Defects(none)
-    pixels = _outliers(image, level, 1)
-    pixels |= _outliers(image, level, 2)
-    pixels |= _dead(image, level)
+        return Defects(pixels)
+    usual = usual or _usual(image, level)
+    found = [_outliers(image, level, reach, excess) for reach, excess in zip((1, 2), usual.excess)]
+    for place in (*found, _dead(image, level, usual.deficit)):
+        pixels[place] = True
     if np.count_nonzero(pixels) > MOST * pixels.size:
-        pixels = none
+        pixels[:] = False
     clean = repaired(image, pixels) if pixels.any() else image
-    return Defects(pixels, _bad_lines(clean, 0), _bad_lines(clean, 1))
+    return Defects(pixels, _bad_lines(clean, 0), _bad_lines(clean, 1), usual)
 
 
-def _dead(image: np.ndarray, level: float) -> np.ndarray:
-    """Pixels below all of their neighbours by more than the texture explains."""
-    around = -_largest_neighbour(-image, 1)
-    excess = (around - image) / level
-    sample = excess.ravel()[:: max(1, excess.size // SAMPLES) | 1]
-    found = excess > max(STANDS_OUT, BEYOND_TEXTURE * max(0.0, float(np.quantile(sample, 0.999))))
-    for v, u in np.argwhere(found):  # where the light is uneven the level is that of the neighbourhood
-        near = image[max(0, v - LOCAL) : v + LOCAL + 1, max(0, u - LOCAL) : u + LOCAL + 1]
-        found[v, u] = around[v, u] - image[v, u] > STANDS_OUT * float(near.mean())
-    return found
+def _dead(image: np.ndarray, level: float, usual: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places (v, u) of pixels below all of their neighbours by more than the texture explains."""
+    offsets = _offsets(image, 1)
+    least = max(STANDS_OUT, BEYOND_TEXTURE * usual) * level
+    v, u = np.nonzero(image < DARK * level)
+    for offset in offsets:
+        kept = _neighbour(image, v, u, offset) - image[v, u] > least
+        v, u = v[kept], u[kept]
+    # Where the light is uneven the level is that of the neighbourhood.
+    local = [image[max(0, i - LOCAL) : i + LOCAL + 1, max(0, j - LOCAL) : j + LOCAL + 1].mean() for i, j in zip(v, u)]
+    around = np.min([_neighbour(image, v, u, o) for o in offsets], axis=0) if v.size else np.zeros(0)
+    kept = around - image[v, u] > STANDS_OUT * np.array(local)
+    return v[kept], u[kept]
 
 
 def repaired(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -190,6 +228,9 @@ def mosaic_gains(image: np.ndarray) -> np.ndarray | None:
     """
     rows, columns = (n - n % 2 for n in image.shape)
     if rows < 16 or columns < 16:
+        return None
+    rough = np.array([part[: rows // 2, : columns // 2].mean() for part in sublattices(image).values()])
+    if not np.any(np.abs(rough - rough.mean()) > MOSAIC_DIFFERENCE * rough.mean()):
         return None
     cells = image[:rows, :columns].reshape(rows // 2, 2, columns // 2, 2).transpose(1, 3, 0, 2)
     mean = cells.mean(axis=(0, 1))

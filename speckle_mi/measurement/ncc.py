@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import fft
+from scipy import fft, ndimage
 
 CONSTANT = 1e-9
 """Variation of a piece of an image, relative to all of the image's, that is taken for rounding."""
@@ -19,11 +19,8 @@ CONSTANT = 1e-9
 def _box_sums(image: np.ndarray, box: tuple[int, int]) -> np.ndarray:
     """Sums of ``image`` (rows, columns) over every (height, width) box that lies inside it."""
     for axis, size in enumerate(box):
-        running = np.cumsum(image, axis=axis)
-        lead = np.moveaxis(running, axis, 0)
-        sums = lead[size - 1 :].copy()
-        sums[1:] -= lead[:-size]
-        image = np.moveaxis(sums, 0, axis)
+        means = ndimage.uniform_filter1d(image, size, axis, mode="nearest")
+        image = size * np.moveaxis(np.moveaxis(means, axis, 0)[size // 2 : means.shape[axis] - (size - 1) // 2], 0, axis)
     return image
 
 

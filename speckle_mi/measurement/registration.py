@@ -240,10 +240,9 @@ def score_variance(gradients: list[np.ndarray], residual: np.ndarray, reach: tup
     for gradient in gradients:
         score = gradient * residual
         for axis, side in enumerate(box):
-            running = np.cumsum(np.pad(score, [(side, side - 1) if a == axis else (0, 0) for a in (0, 1)]), axis)
-            lead = np.moveaxis(running, axis, 0)
-            score = np.moveaxis(lead[side:] - lead[:-side], 0, axis)
-        sums.append(score)
+            score = np.pad(score, [(side // 2, side // 2) if a == axis else (0, 0) for a in (0, 1)])
+            score = ndimage.uniform_filter1d(score, side, axis, mode="constant")
+        sums.append(score * np.prod(box))
     # The whole sum is zero where the iteration ends, which takes this share of the variance away.
     left = 1.0 - np.prod(box) / np.prod(residual.shape)
     return np.array([[_dot(a, b) for b in sums] for a in sums]) / (np.prod(box) * left)
