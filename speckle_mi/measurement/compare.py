@@ -11,7 +11,7 @@ from .deformation import FITS, Deformation
 from .light import middle
 from .speckle_statistics import centre_of_gravity, contrast, speckle_size
 
-LARGEST_PIECE = 2048
+LARGEST_PIECE = 1024
 """Side of the middle piece of larger images from which the contrast is taken [px]."""
 
 

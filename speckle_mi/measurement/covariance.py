@@ -29,14 +29,18 @@ def as_image(image: np.ndarray, name: str = "image") -> np.ndarray:
 
     Raises ValueError, naming the image, if it is not two-dimensional, empty, complex or holds NaN or infinity.
     """
+    return checked_image(image, name).astype(np.float64)
+
+
+def checked_image(image: np.ndarray, name: str = "image") -> np.ndarray:
+    """``image`` as it is, once it has passed the checks of `as_image`."""
     array = np.asarray(image)
     if array.ndim != 2 or array.size == 0:
         raise ValueError(f"{name}: shape {array.shape} is not an image, must be (rows, columns)")
     if np.iscomplexobj(array):
         raise ValueError(f"{name}: complex pixels, give the intensity abs(field)**2")
-    array = array.astype(np.float64)
     # One sum instead of a test a pixel: any NaN or infinity survives it.
-    if not np.isfinite(array.sum()):
+    if not np.isfinite(array.sum(dtype=np.float64)):
         bad = array.size - int(np.isfinite(array).sum())
         if bad:
             raise ValueError(f"{name}: {bad} of {array.size} pixels are NaN or infinite, all must be finite")

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-STANDS_OUT = 0.8
-"""Least excess of a defect over its brightest neighbour, relative to that and the mean: speckle of 2 px has 0.6."""
+STANDS_OUT = ((1.0, 6.0), (3.0, 10.0))
+"""Least excess of a defect over its neighbours 1 and 2 px away, relative to them and the mean: of coarse speckle, and
+what is added for each unit of the excess that the texture has. Clean speckle of 2 px and more, with 10 photons a pixel
+and more, stays below it."""
 
-BEYOND_TEXTURE = 3.0
-"""Excess of a defect over that of one pixel in a thousand of the image."""
+TEXTURE_SHARE = 0.98
+"""Quantile of the excess that is the texture's: above the share of pixels that may be defects."""
 
 BRIGHT, DARK = 4.0, 0.1
 """Least brightness of a hot pixel and largest of a dead one, relative to the mean."""
@@ -30,7 +32,10 @@ LOCAL = 12
 LINE = 10.0
 """Excess of a defective column or row over its neighbours, in standard deviations of all columns' excess."""
 
-MOST = 0.02
+LINE_SPREAD = 2.0
+"""The same in standard deviations of the columns' means."""
+
+MOST = 0.015
 """Share of the pixels beyond which what stands out is texture and no defect."""
 
 MOSAIC_Z, MOSAIC_DIFFERENCE = 8.0, 0.02
@@ -42,7 +47,7 @@ BRIGHT_ENOUGH = 0.25
 
 @dataclass(frozen=True)
 class Usual:
-    """What one pixel in a thousand of an image has by its texture alone: excess over the pixels 1 and 2 px away, and
+    """What few pixels of an image exceed by its texture alone: excess over the pixels 1 and 2 px away, and
     deficit, over the mean, against those 1 px away."""
 
     excess: tuple[float, float]
@@ -114,12 +119,17 @@ def _usual(image: np.ndarray, level: float) -> Usual:
     excess = [np.min([_excess(image, level, place, o) for o in _offsets(image, reach)], axis=0) for reach in (1, 2)]
     darkest = np.min([_neighbour(image, *place, o) for o in _offsets(image, 1)], axis=0)
     deficit = (darkest - image[place]) / level
-    return Usual(tuple(float(np.quantile(e, 0.999)) for e in excess), float(np.quantile(deficit, 0.999)))
+    return Usual(tuple(float(np.quantile(e, TEXTURE_SHARE)) for e in excess), float(np.quantile(deficit, TEXTURE_SHARE)))
+
+
+def _least(reach: int, usual: float) -> float:
+    of_coarse, by_texture = STANDS_OUT[reach - 1]
+    return of_coarse + by_texture * max(usual, 0.0)
 
 
 def _outliers(image: np.ndarray, level: float, reach: int, usual: float) -> tuple[np.ndarray, np.ndarray]:
     """Places (v, u) of pixels above all on a border around them by more than the image's texture explains."""
-    least = max(STANDS_OUT, BEYOND_TEXTURE * usual)
+    least = _least(reach, usual)
     place = np.nonzero(image > BRIGHT * level)
     for offset in _offsets(image, reach):  # few are left after the first
         kept = _excess(image, level, place, offset) > least
@@ -136,7 +146,9 @@ def _bad_lines(image: np.ndarray, axis: int) -> tuple[int, ...]:
     scale = 1.4826 * float(np.median(np.abs(excess)))
     # Of speckle many columns are their own median; their other columns then give the scale.
     scale = max(scale, float(np.sqrt(np.mean(np.square(np.clip(excess, *np.quantile(excess, [0.02, 0.98])))))))
-    found = np.flatnonzero(np.abs(excess) > LINE * scale) if scale > 0.0 else np.zeros(0, int)
+    # Of coarse speckle the profile is smooth, but not even.
+    spread = 1.4826 * float(np.median(np.abs(profile - np.median(profile))))
+    found = np.flatnonzero(np.abs(excess) > max(LINE * scale, LINE_SPREAD * spread)) if scale > 0.0 else np.zeros(0, int)
     return tuple(int(i) for i in found) if found.size <= MOST * profile.size else ()
 
 
@@ -162,7 +174,7 @@ def defects_of(image: np.ndarray, usual: Usual | None = None) -> Defects:
 def _dead(image: np.ndarray, level: float, usual: float) -> tuple[np.ndarray, np.ndarray]:
     """Places (v, u) of pixels below all of their neighbours by more than the texture explains."""
     offsets = _offsets(image, 1)
-    least = max(STANDS_OUT, BEYOND_TEXTURE * usual) * level
+    least = _least(1, usual) * level
     v, u = np.nonzero(image < DARK * level)
     for offset in offsets:
         kept = _neighbour(image, v, u, offset) - image[v, u] > least
@@ -170,7 +182,7 @@ def _dead(image: np.ndarray, level: float, usual: float) -> tuple[np.ndarray, np
     # Where the light is uneven the level is that of the neighbourhood.
     local = [image[max(0, i - LOCAL) : i + LOCAL + 1, max(0, j - LOCAL) : j + LOCAL + 1].mean() for i, j in zip(v, u)]
     around = np.min([_neighbour(image, v, u, o) for o in offsets], axis=0) if v.size else np.zeros(0)
-    kept = around - image[v, u] > STANDS_OUT * np.array(local)
+    kept = around - image[v, u] > _least(1, usual) * np.array(local)
     return v[kept], u[kept]
 
 

@@ -20,6 +20,9 @@ SPECKLES = 4.0
 ROOM = 2.5
 """Least smoothing, in sizes of the texture found with it, that has not itself shaped that texture."""
 
+NOISE_SIZE = 1.5
+"""Size below which a texture is the noise of the pixels [px]."""
+
 FIRST, LAST_SHARE = 8.0, 0.25
 """Smoothing first tried [px], and the last as a share of the image's shorter side."""
 
@@ -45,8 +48,7 @@ def middle(image: np.ndarray, side: int) -> np.ndarray:
     return image[top : top + side, left : left + side]
 
 
-def smooth_mean(image: np.ndarray, sigma: float) -> np.ndarray:
-    """``image`` (rows, columns) smoothed by about a Gaussian of standard deviation ``sigma`` [px], mirrored at edges."""
+def _smoothed(image: np.ndarray, sigma: float) -> np.ndarray:
     side = 2 * round(0.5 * math.sqrt(4.0 * sigma**2 + 1.0) - 0.5) + 1  # three boxes have its variance
     for _ in range(3):
         image = ndimage.uniform_filter(image, [min(side, 2 * n - 1) for n in image.shape], mode="reflect")
@@ -54,8 +56,15 @@ def smooth_mean(image: np.ndarray, sigma: float) -> np.ndarray:
 
 
 def high_pass(image: np.ndarray, sigma: float) -> np.ndarray:
-    """``image`` less its smooth mean: structure larger than about ``sigma`` [px] is gone."""
-    return image - smooth_mean(image, sigma)
+    """``image`` (rows, columns) less its smooth mean: structure larger than about ``sigma`` [px] is gone."""
+    rest = image - _smoothed(image, sigma)
+    return rest - _smoothed(rest, sigma)  # what the first smoothing took off the top of a narrow beam too little
+
+
+def smooth_mean(image: np.ndarray, sigma: float) -> np.ndarray:
+    """``image`` without its structure smaller than about ``sigma`` [px], never below 0 for an image that is not."""
+    mean = image - high_pass(image, sigma)
+    return np.maximum(mean, 0.0) if image.min() >= 0.0 else mean
 
 
 def texture_scale(image: np.ndarray) -> float:
@@ -66,7 +75,7 @@ def texture_scale(image: np.ndarray) -> float:
     while sigma <= limit:
         pattern = deviation(high_pass(piece, sigma))
         size = math.nan if pattern is None else texture_size(autocovariance(pattern))
-        if ROOM * size <= sigma:
+        if size > NOISE_SIZE and ROOM * size <= sigma:
             return size
         sigma *= 2.0
     pattern = deviation(piece)

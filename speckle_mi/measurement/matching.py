@@ -146,7 +146,7 @@ class Matcher:
         if peak.rivals:
             return self._ambiguous(peak, origin)
         displacement = tuple(i - c for i, c in zip(peak.place, origin))
-        if (reason := of_the_camera(surface, peak, origin, self.texture)) is not None:
+        if (reason := of_the_camera(surface, peak, origin, self.texture, math.prod(self.window))) is not None:
             return no_shift("fixed pattern", reason, self.window, peak.ncc, peak.significance)
         if finer_than_a_pixel(surface, peak):
             return self._whole_pixel(peak, displacement)
@@ -154,7 +154,9 @@ class Matcher:
         if peak.offset is None or not searched:
             return self._symmetric(pattern, displacement, peak, 0.0, valid)
         result = self._subset.find(pattern, displacement, np.array(peak.offset), valid)
-        note = note or still_note(surface, origin, displacement, self.texture)
+        note = note or still_note(
+            surface, origin, displacement, peak.ncc, math.prod(self.window), self.texture
+        )
         return self._found(peak, displacement, self.window, result, note)
 
     def deformation(self, pattern: np.ndarray, shift: Shift, fit: str) -> Deformation | None:

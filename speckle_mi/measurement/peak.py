@@ -82,7 +82,7 @@ class Texture:
 
     area: integral of the squared normalised autocovariance over the central lobe [px^2], the area on which two
     patterns agree or disagree together. lobe: half extents (v, u) [px]. next: autocovariance of next neighbours without
-    noise. repeats: whether the pattern is like itself at some distance.
+    noise. top: its height at zero lag over the curve through the other lags. repeats: whether the pattern is like itself at some distance.
     """
 
     def __init__(self, piece: np.ndarray) -> None:
@@ -92,7 +92,9 @@ class Texture:
         self.lobe = tuple(min(reach, n // 3) for reach, n in zip(central_lobe(covariance), piece.shape))
         v, u = self.lobe
         self.area = float(np.sum(np.square(covariance[rows - 1 - v : rows + v, columns - 1 - u : columns + u])))
-        self.next = _next_neighbour(without_noise(covariance))
+        clean = without_noise(covariance)
+        self.next = _next_neighbour(clean)
+        self.top = height_over_neighbours(clean, tuple(n // 2 for n in clean.shape))
         self.repeats = _repetition(covariance, self.lobe) >= REPEATING
         squares = np.square(piece - piece.mean())
         # A few bright pixels carry the contrast of an image whose kurtosis is above that of speckle.
@@ -108,6 +110,20 @@ def _next_neighbour(covariance: np.ndarray) -> float:
     sides = [covariance[row + 1, column]] if covariance.shape[0] > 1 else []
     sides += [covariance[row, column + 1]] if covariance.shape[1] > 1 else []
     return float(np.mean(sides)) if sides else 0.0
+
+
+def height_over_neighbours(surface: np.ndarray, place: tuple[int, int]) -> float:
+    """Height of a surface at a place over the curves through its three neighbours each way, 0 near the edge."""
+    heights = []
+    for axis, n in enumerate(surface.shape):
+        if n == 1:
+            continue
+        i = place[axis]
+        if not 3 <= i < n - 3:
+            return 0.0
+        line = surface[i - 3 : i + 4, place[1]] if axis == 0 else surface[place[0], i - 3 : i + 4]
+        heights.append(float(line[3] - (15 * (line[2] + line[4]) - 6 * (line[1] + line[5]) + line[0] + line[6]) / 20))
+    return min(heights, default=0.0)
 
 
 def _repetition(covariance: np.ndarray, lobe: tuple[int, int]) -> float:

@@ -14,7 +14,8 @@ import math
 
 import numpy as np
 
-from .covariance import as_image, autocovariance, central_lobe, deviation, half_width, in_range, without_noise
+from .covariance import as_image, autocovariance, central_lobe, checked_image, deviation, half_width
+from .covariance import in_range, without_noise
 from .defects import defects_of, repaired
 from .light import FAINTEST, is_uneven, middle, smooth_mean, smoothing_of
 
@@ -30,24 +31,32 @@ def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
 
     NaN for an image without light. Raises ValueError for pixels that are not finite.
     """
-    light = as_image(image)
-    total = float(light.sum())
+    light = checked_image(image)
+    columns_light, rows_light = (light.sum(axis=axis, dtype=np.float64) for axis in (0, 1))
+    total = float(rows_light.sum())
     if total <= 0.0:
         return math.nan, math.nan
     rows, columns = light.shape
     u = np.arange(columns) - (columns - 1) / 2
     v = np.arange(rows) - (rows - 1) / 2
-    return float(light.sum(axis=0) @ u) / total, float(light.sum(axis=1) @ v) / total
+    return float(columns_light @ u) / total, float(rows_light @ v) / total
 
 
 def _neighbours_size(image: np.ndarray) -> float:
-    """Speckle size [px] that the covariance of next neighbours alone tells: quick, too large under an envelope."""
+    """Speckle size [px] that the covariances at 1 and 2 px alone tell: quick, too large under an envelope.
+
+    Of a Gaussian lobe their ratio tells the size whatever the noise of the pixels.
+    """
     pattern = deviation(image)
     if pattern is None:
         return math.nan
-    pairs = [np.moveaxis(pattern, axis, 0) for axis in (0, 1) if pattern.shape[axis] > 1]
-    covariance = np.mean([np.mean(lead[1:] * lead[:-1]) for lead in pairs]) if pairs else 0.0
-    return math.sqrt(4.0 * math.log(2.0) / -math.log(min(max(covariance, 0.05), 0.9999)))
+    lines = [np.moveaxis(pattern, axis, 0) for axis in (0, 1) if pattern.shape[axis] > 2]
+    if not lines:
+        return math.nan
+    one, two = (float(np.mean([np.mean(line[lag:] * line[:-lag]) for line in lines])) for lag in (1, 2))
+    if two > 0.02:
+        return math.sqrt(12.0 * math.log(2.0) / math.log(max(one / two, 1.0001)))
+    return math.sqrt(4.0 * math.log(2.0) / -math.log(min(max(one, 0.05), 0.9999)))
 
 
 def is_evenly_lit(image: np.ndarray) -> bool:

@@ -6,9 +6,11 @@ speckle does: as a spike of one pixel where it is as fine as the pixels, as a se
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from .peak import Peak, Texture, peak_at
+from .peak import Peak, Texture, height_over_neighbours, peak_at
 
 STILL = 1
 """Distance from zero shift at which a peak is one of what stands still [px]."""
@@ -19,14 +21,14 @@ SURE = 1.3
 ALIKE = 0.9
 """Correlation at zero shift above which the whole picture stands still."""
 
-SPIKE, SPIKE_SIGMAS = 0.03, 6.0
-"""Height of a correlation at zero shift over what its neighbours say, absolute and in standard deviations of white
-noise, from which on it is a fixed pattern."""
+SPIKE = 0.02
+"""Height of the correlation at zero shift over what its neighbours say, relative to the peak and beyond what the
+pattern's own lobe has, from which on it is a fixed pattern's."""
 
-SPIKE_SHARE = 0.1
-"""Height of the spike over that of the peak from which on a shift within a speckle is not to be believed."""
+SPIKE_SIGMAS = 5.0
+"""The same in standard deviations of the white noise in a correlation."""
 
-NARROW, OWN = 0.4, 0.6
+NARROW, OWN = 0.4, 0.68
 """Largest correlation next to a peak, relative to it, for a spike; and the least that the pattern itself has there."""
 
 FINE = 0.3
@@ -68,25 +70,12 @@ def finer_than_a_pixel(surface: np.ndarray, peak: Peak) -> bool:
     return beside is not None and beside < FINE * float(surface[peak.place])
 
 
-def _spike(surface: np.ndarray, origin: tuple[int, int]) -> float:
-    """Height of the surface at zero shift over the curve through its neighbours, 0 at the edge of the surface."""
-    heights = []
-    for axis, n in enumerate(surface.shape):
-        if n == 1:
-            continue
-        i = origin[axis]
-        if not 3 <= i < n - 3:
-            return 0.0
-        line = np.take(surface, range(i - 3, i + 4), axis=axis)
-        line = line[:, origin[1]] if axis == 0 else line[origin[0], :]
-        heights.append(float(line[3] - (15 * (line[2] + line[4]) - 6 * (line[1] + line[5]) + line[0] + line[6]) / 20))
-    return min(heights, default=0.0)
-
-
 def of_the_camera(
-    surface: np.ndarray, peak: Peak, origin: tuple[int, int], texture: Texture
+    surface: np.ndarray, peak: Peak, origin: tuple[int, int], texture: Texture, pixels: int
 ) -> str | None:
     """Why a peak is the camera's and not the pattern's, None if it is the pattern's."""
+    if peak.ncc == 1.0:  # a copy of the reference, noise and all
+        return None
     remedy = "take a picture without light and give it as --dark"
     if _distance(peak.place, origin) <= STILL and texture.next > OWN:
         beside = _beside(surface, peak.place)
@@ -96,32 +85,38 @@ def of_the_camera(
                 f" fixed pattern, not the speckle; {remedy}"
             )
     near = all(abs(i - o) <= reach for i, o, reach in zip(peak.place, origin, texture.lobe))
-    if near and texture.next > OWN and _is_spike(surface, origin, texture):
-        height = _spike(surface, origin)
-        if height > SPIKE_SHARE * peak.ncc:
-            return (
-                f"{100 * height:.0f} % of the correlation stand still, a fixed pattern of the camera that pulls this"
-                f" shift toward zero; {remedy}"
-            )
+    if near and (height := _spike(surface, origin, peak.ncc, texture.top, pixels, texture)) > 0.0:
+        return (
+            f"{100 * height:.0f} % of the correlation stand still, a fixed pattern of the camera that pulls this"
+            f" shift toward zero; {remedy}"
+        )
     return None
 
 
-def _is_spike(surface: np.ndarray, origin: tuple[int, int], texture: Texture) -> bool:
-    height = _spike(surface, origin)
-    if height <= SPIKE:
-        return False
-    # The same curve through seven values of the surface beside it: what it misses there by itself.
-    scatter = [abs(_spike(surface, tuple(o + d for o, d in zip(origin, shift)))) for shift in _AROUND]
-    return height > SPIKE_SIGMAS * float(np.median(scatter))
+def _spike(
+    surface: np.ndarray, origin: tuple[int, int], ncc: float, own: float, pixels: int, texture: Texture
+) -> float:
+    """Share of the correlation ``ncc`` that is a spike at zero shift, 0 if there is none to be sure of.
 
-
-_AROUND = [(v, u) for v in (-4, 0, 4) for u in (-4, 0, 4) if (v, u) != (0, 0)]
+    own: height over its neighbours that the pattern's lobe may have there. pixels: that a correlation rests on.
+    """
+    if texture.next <= OWN or ncc <= 0.0:  # a pattern as fine as the pixels has spikes of its own
+        return 0.0
+    height = height_over_neighbours(surface, origin) - ncc * own
+    least = max(SPIKE * ncc, SPIKE_SIGMAS / math.sqrt(pixels) * (1.0 - min(ncc, 1.0)))
+    return height / ncc if height > least else 0.0
 
 
 def still_note(
-    surface: np.ndarray, origin: tuple[int, int], displacement: tuple[int, int], texture: Texture
+    surface: np.ndarray,
+    origin: tuple[int, int],
+    displacement: tuple[int, int],
+    ncc: float,
+    pixels: int,
+    texture: Texture,
 ) -> str:
     """A note on what stands still beside a pattern that moved by ``displacement`` (v, u) [px], empty if nothing does."""
-    if max(map(abs, displacement)) > STILL and texture.next > OWN and _is_spike(surface, origin, texture):
-        return f"a fixed pattern of the camera makes {100 * _spike(surface, origin):.0f} % of the correlation at zero shift"
+    far = any(abs(d) > reach for d, reach in zip(displacement, texture.lobe))
+    if far and (height := _spike(surface, origin, ncc, 0.0, pixels, texture)) > 0.0:
+        return f"a fixed pattern of the camera adds {100 * height:.0f} % of the correlation at zero shift"
     return ""
