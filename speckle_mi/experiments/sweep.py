@@ -37,7 +37,10 @@ class SweepSettings:
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """What one frame gave: a row of sweep.csv. Shifts and centres of gravity [um], NaN where not measured."""
+    """What one frame gave: a row of sweep.csv. Shifts and centres of gravity [um], NaN where not measured.
+
+    sigma_u_um, sigma_v_um: standard uncertainties of the shifts, from the two images alone [um].
+    """
 
     dof: str
     displacement: float
@@ -53,6 +56,8 @@ class FrameRecord:
     contrast: float
     seconds: float
     status: str
+    sigma_u_um: float
+    sigma_v_um: float
 
 
 @dataclass
@@ -204,4 +209,6 @@ def _record(
         contrast=contrast(intensity),
         seconds=time.perf_counter() - start,
         status=shift.status,
+        sigma_u_um=shift.sigma_u_px * pixel,
+        sigma_v_um=shift.sigma_v_px * pixel,
     )
