@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.abc
-import importlib.machinery
 import sys
-from types import ModuleType
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from speckle_mi.machine.around_import import around_import
 
 
 def follow_mitsuba() -> None:
@@ -15,12 +16,19 @@ def follow_mitsuba() -> None:
     registration waits for its import.
     """
     if sys.modules.get("mitsuba") is not None:
-        _follow_variants(sys.modules["mitsuba"])
+        _follow_variants()
     else:
-        sys.meta_path.insert(0, _AfterMitsuba())
+        around_import("mitsuba", _followed)
 
 
-def _follow_variants(mitsuba: ModuleType) -> None:
+@contextmanager
+def _followed() -> Iterator[None]:
+    yield
+    _follow_variants()
+
+
+def _follow_variants() -> None:
+    mitsuba = sys.modules["mitsuba"]  # which puts another object in its place while it is being imported
     mitsuba.detail.add_variant_callback(_on_variant)
     if mitsuba.variant() is not None:
         _on_variant(None, mitsuba.variant())
@@ -36,23 +44,3 @@ def _on_variant(_: str | None, variant: str) -> None:
 
         register()
         remember_transforms(sys.modules["mitsuba"])
-
-
-class _AfterMitsuba(importlib.abc.MetaPathFinder):
-    """Finds Mitsuba as everyone else does, and hooks the registration behind its import."""
-
-    def find_spec(self, name, path=None, target=None):
-        if name != "mitsuba":
-            return None
-        sys.meta_path.remove(self)
-        spec = importlib.machinery.PathFinder.find_spec(name, path, target)
-        if spec is not None and spec.loader is not None:
-            execute = spec.loader.exec_module
-
-            def execute_and_follow(module: ModuleType) -> None:
-                execute(module)
-                # Mitsuba puts another object in its place while it is being imported.
-                _follow_variants(sys.modules["mitsuba"])
-
-            spec.loader.exec_module = execute_and_follow
-        return spec

@@ -54,6 +54,8 @@ import numpy as np
 
 from speckle_mi.geometry.outline import Circle, Rectangle
 from speckle_mi.optics.surface import Surface
+from speckle_mi.scene.body import Body
+from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
 from speckle_mi.scene.parameters import check_number, describe, read_choice, read_number, stored, value_of
 from ._mesh import ENCLOSING, SECTORS, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
@@ -83,9 +85,16 @@ class Aperture(mi.Mesh):
         super().__init__(props)
         fill_mesh(self, self.placement.frame, self._vertices(), ring_faces(2, SECTORS))
 
-    def opening(self) -> Surface:
-        """The hole: a plane with its outline."""
-        return Surface(self.placement.frame, outline=self._outline())
+    def element(self) -> Element:
+        """The hole, a plane with its outline, in its screen."""
+        frame = self.placement.frame
+        return Element(
+            self.id(),
+            "opening",
+            (Surface(frame, outline=self._outline()),),
+            Body.mesh(frame.to_world(self._vertices()), ring_faces(2, SECTORS)),
+            screen_radius=value_of(self.outer_radius),
+        )
 
     def _outline(self) -> Circle | Rectangle:
         sizes = [value_of(getattr(self, name)) for name in _SIZES[self.form]]

@@ -42,19 +42,24 @@ the ``detector``, with L the optical path length. Its images have the channels `
 
 from __future__ import annotations
 
+import warnings
+
 import mitsuba as mi
 import numpy as np
 
 from speckle_mi.field.ray_method import FEWEST_RAYS
-from speckle_mi.field.simulate import simulate
+from speckle_mi.field.simulation import Simulation
 from speckle_mi.machine import llvm
-from speckle_mi.scene.assembly import Options, assembly_from_scene
+from speckle_mi.scene.assembly import Assembly, Options
+from speckle_mi.scene.read import assembly_from_scene
 from speckle_mi.scene.parameters import describe, read_boolean, read_choice, read_integer, read_number
 
 _METHODS = ("auto", "direct", "fast", "rays")
 
 
 class Coherent(mi.SamplingIntegrator):
+    role = "coherent"
+
     def __init__(self, props: mi.Properties) -> None:
         if mi.variant().startswith("llvm"):
             llvm.require_usable()
@@ -67,6 +72,7 @@ class Coherent(mi.SamplingIntegrator):
                 props, "rays_per_source", Options.rays_per_source, at_least=FEWEST_RAYS, at_most=10**6
             ),
         )
+        self.simulation: Simulation | None = None
         super().__init__(props)
 
     def aov_names(self) -> list[str]:
@@ -74,11 +80,20 @@ class Coherent(mi.SamplingIntegrator):
 
     def render(self, scene, sensor=0, seed=0, spp=0, develop=True, evaluate=True):
         sensor = scene.sensors()[sensor] if isinstance(sensor, int) else sensor
-        image = simulate(assembly_from_scene(scene, sensor, spp))
+        frame = self._simulation_of(assembly_from_scene(scene, sensor, spp)).frame()
+        for warning in frame.warnings:
+            warnings.warn(warning, stacklevel=2)
         film = sensor.film()
         film.prepare(self.aov_names())
-        film.put_block(mi.ImageBlock(_film_channels(image)))
+        film.put_block(mi.ImageBlock(_film_channels(frame.image)))
         return film.develop() if develop else mi.TensorXf()
+
+    def _simulation_of(self, assembly: Assembly) -> Simulation:
+        """That of the last render where nothing has changed since, so that plans and geometry are made once."""
+        held = self.simulation
+        if held is None or held.assembly != assembly:
+            self.simulation = held = Simulation(assembly)
+        return held
 
     def to_string(self) -> str:
         return f"Coherent[method = {self.options.method}, tolerance = {self.options.tolerance}]"

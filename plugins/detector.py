@@ -55,6 +55,8 @@ _PITCH = {"at_least": 1e-6, "at_most": 1e3, "unit": "mm"}
 
 
 class Detector(mi.Sensor):
+    role = "detector"
+
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)

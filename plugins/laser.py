@@ -16,17 +16,28 @@ Laser (:monosp:`laser`)
    - |exposed|
  * - beam_radius
    - |float|
-   - 1/e^2 intensity radius at the target, perpendicular to the beam [mm]. (Default: inf, uniform light)
+   - 1/e^2 intensity radius where the beam meets the target at rest, perpendicular to it [mm].
+     (Default: inf, uniform light)
    - |exposed|
  * - wavefront_radius
    - |float|
-   - Radius of curvature of the wavefront where the beam meets the target [mm]; positive: diverging, negative:
-     converging. (Default: inf, collimated)
+   - Radius of curvature of the wavefront where the beam meets the target at rest [mm]; positive: diverging,
+     negative: converging. (Default: inf, collimated)
    - |exposed|
 
 A coherent Gaussian beam. Its light reaches the target unobstructed: it is not traced through the elements between
 target and detector. The wavefront radius is independent of the laser's distance, since collimating optics
 usually stand in the laser. To other integrators it is a collimated beam of one unit of power.
+
+Both radii are those at one place, where the beam's axis meets the target at rest. From there on they follow Gaussian
+optics: with the wavelength they determine the waist, w(s) = w |1 + s (1/R + i lambda/(pi w^2))| at the distance s along
+the axis, through which the light goes on as a diverging beam, with Gouy's phase. A target that is moved along the beam
+is lit by the radius there. Wavefronts are spheres of the local radius, so that far from the waist the light is a
+spherical wave. The field's relative error is about the square of the divergence, lambda/(pi w_waist) [rad]: 3e-6 for a
+waist of 0.12 mm, 2e-3 for one of 5 um; more than 0.35 rad is refused.
+
+Uniform light has the same amplitude everywhere; spherical, it goes through a point focus, behind which it diverges
+with the opposite sign.
 
 .. tabs::
     .. code-tab:: xml
@@ -61,11 +72,16 @@ _LIMITS = {
     "wavefront_radius": {"infinite": True, "unit": "mm"},
 }
 
+_STEEPEST = 0.35
+"""Largest divergence [rad] of a beam: its field is then off by a tenth, see :class:`Beam`."""
+
 _SHORTEST, _LONGEST = 1e-9, 1e15
 """Size of a wavefront radius [mm] that double precision can square and take from a path."""
 
 
 class Laser(mi.Emitter):
+    role = "laser"
+
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
@@ -96,6 +112,13 @@ class Laser(mi.Emitter):
             raise SceneError(
                 f"{self.where}: parameter 'wavefront_radius' is {value_of(self.wavefront_radius):g} mm, must not be 0 "
                 f"but {_SHORTEST:g} to {_LONGEST:g} mm in size, or inf (collimated)"
+            )
+        divergence = self.beam().divergence
+        if divergence > _STEEPEST:
+            raise SceneError(
+                f"{self.where}: a beam of beam_radius {value_of(self.beam_radius):g} mm and wavefront_radius "
+                f"{value_of(self.wavefront_radius):g} mm diverges by {divergence:.3g} rad from its waist, must diverge by at "
+                f"most {_STEEPEST} rad: steeper light is not a Gaussian beam"
             )
 
     # What other integrators see: a collimated beam whose irradiance is that of one unit of power.

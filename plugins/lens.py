@@ -29,15 +29,16 @@ Lens (:monosp:`lens`)
    - |exposed|
  * - ior
    - |float|
-   - Index of refraction at the laser's wavelength, at least 1. (Required)
+   - Index of refraction at the laser's wavelength, at least 1; relative to air in air, else to vacuum. (Required)
    - |exposed|
  * - bsdf
    - |bsdf|
-   - What other integrators see. (Default: a smooth dielectric of this index)
+   - A smooth dielectric whose ``int_ior`` is ``ior``; its ``specular_transmittance`` counts at each surface, and its
+     ``ext_ior`` says what everything stands in. (Default: a smooth dielectric of this index)
    -
 
-A thick lens in air of two surfaces of revolution,
-:math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, and a cylindrical rim.
+A thick lens of two surfaces of revolution, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, and a
+cylindrical rim. It stands in air, or in the ``ext_ior`` of the scene's dielectrics where that is another medium (water).
 
 .. tabs::
     .. code-tab:: xml
@@ -60,6 +61,8 @@ import numpy as np
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.outline import Circle
 from speckle_mi.optics.surface import Surface
+from speckle_mi.scene.body import Body
+from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
 from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
 from ._mesh import (
@@ -120,6 +123,12 @@ class Lens(mi.Mesh):
     def index(self) -> float:
         """Index of refraction of the glass."""
         return value_of(self.ior)
+
+    def element(self) -> Element:
+        """The glass between its two surfaces."""
+        vertices, _ = self._vertices()
+        body = Body.mesh(self.placement.frame.to_world(vertices), _faces())
+        return Element(self.id(), "glass", self.surfaces(), body, index=self.index)
 
     def surfaces(self) -> tuple[Surface, Surface]:
         """Front and back surface in the world, each with its vertex and rim."""

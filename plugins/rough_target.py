@@ -106,6 +106,8 @@ _LARGEST_SEED = 2**63 - 1
 
 
 class RoughTarget(mi.Mesh):
+    role = "rough_target"
+
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
@@ -121,8 +123,10 @@ class RoughTarget(mi.Mesh):
         vertices, faces = self._read_form(props)
         self.points = self._read_points(props)
         self.precise_transforms: dict[str, np.ndarray] = {}
+        self.stated_indices: dict[str, list[tuple[float, float]]] = {}
+        self.bsdf_recipe: dict | None = None
         super().__init__(props)
-        self.rest_vertices = vertices
+        self.rest_mesh = vertices, faces
         fill_mesh(self, self._place(), vertices, faces)
 
     def pose(self) -> Pose:
@@ -173,7 +177,7 @@ class RoughTarget(mi.Mesh):
         self.placement.parameters_changed(keys, self.where)
         keys = list(keys)
         if {"to_world", *DEGREES_OF_FREEDOM}.intersection(keys):
-            keys += move_mesh(self, self._place(), self.rest_vertices)
+            keys += move_mesh(self, self._place(), self.rest_mesh[0])
         super().parameters_changed(keys)
 
     def to_string(self) -> str:

@@ -1,25 +1,26 @@
 """Laser speckle of a moving rough surface, as a designed sensor will see it.
 
-Importing this package makes its plugins known to Mitsuba (``laser``, ``rough_target``, ``aperture``, ``lens``,
-``detector`` and ``coherent``) for the variant that is set, and for any that is set later::
+In a program or a notebook::
+
+    import speckle_mi as smi
+    assembly = smi.load_scene("scene.xml", beam_radius=0.2)
+    simulation = smi.Simulation(assembly)
+    rest, moved = (simulation.frame(smi.Pose(x=x)).image for x in (0.0, 0.01))
+    print(smi.Correlator(rest.intensity).shift(moved.intensity))
+
+What is named here is imported when it is first used. ``python -m speckle_mi`` lists the commands. Importing the package
+does nothing else but make its plugins known to Mitsuba (``laser``, ``rough_target``, ``aperture``, ``lens``,
+``detector`` and ``coherent``), for the variant that is set and for any that is set later::
 
     import mitsuba, speckle_mi
     mitsuba.set_variant("llvm_ad_mono")
     image = mitsuba.render(mitsuba.load_file("scene.xml"))
 """
 
-import os as _os
-import sys as _sys
 from pathlib import Path as _Path
 
-from .machine import interrupt as _interrupt
-
-# A library leaves signals alone; a command answers them from its first moment on, before its heavy imports.
-if _interrupt.is_command(_sys.argv, _sys.orig_argv):
-    _interrupt.listen()
-
-from .machine import llvm as _llvm  # noqa: E402
-from .version import __version__ as __version__  # noqa: E402
+from .machine import llvm as _llvm
+from .version import __version__ as __version__
 
 # In a source tree the plugins lie beside this package, in an installation inside it.
 _root = _Path(__file__).resolve().parent.parent
@@ -28,10 +29,36 @@ if (_root / "plugins" / "coherent.py").is_file():
 
 _llvm.prefer_packaged_library()
 
-# FINUFFT's OpenMP threads would otherwise spin while they wait, and take the cores from NumPy's and Dr.Jit's threads:
-# up to ten times slower on a machine that does anything else. Read when OpenMP is loaded, which is later than here.
-_os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
-
 from .plugins._registration import follow_mitsuba as _follow_mitsuba  # noqa: E402  (after the search path is complete)
 
 _follow_mitsuba()
+
+_PUBLIC = {
+    "Assembly": "scene.assembly",
+    "Correlator": "measurement.correlator",
+    "FieldImage": "images.field_image",
+    "Pose": "geometry.pose",
+    "Simulation": "field.simulation",
+    "expected_sensitivity": "experiments.expectation",
+    "fit_sensitivity": "measurement.sensitivity",
+    "load_scene": "scene.load",
+    "read_image": "images.pictures",
+    "theory": "theory",
+}
+"""What a program needs, and where it is defined."""
+
+__all__ = list(_PUBLIC)
+
+
+def __getattr__(name: str) -> object:
+    """Imports what is public when it is asked for: Mitsuba, plots and the like are loaded only by those who use them."""
+    from importlib import import_module
+
+    if name not in _PUBLIC:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}, its public names are {', '.join(_PUBLIC)}")
+    module = import_module(f"{__name__}.{_PUBLIC[name]}")
+    return module if name == "theory" else getattr(module, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_PUBLIC})

@@ -16,15 +16,69 @@ from collections.abc import Sequence
 from dataclasses import asdict
 
 from .command_line import add_force, command, parser, say
-from .machine.files import identity_in, refuse_other_settings, require_output, write_json
-from .validation.benchmark.study import PEER_SECONDS, QUICK_PEER_SECONDS, SCENE, TOLERANCE, Bench, Entry
-from .validation.benchmark.tables import new_console, print_costs, print_pieces, print_scaling, print_sums
 
 SCATTERERS, QUICK_SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000), (100, 1_000)
 PIXELS, QUICK_PIXELS = (744, 480), (186, 120)
 
+PEER_SECONDS, QUICK_PEER_SECONDS = 2.0, 0.3
+"""A peer sums as many pixels as it manages in about this time, and is scaled to all."""
+
 
 def main(arguments: Sequence[str] | None = None) -> None:
+    options = _parser().parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .machine.files import identity_in, refuse_other_settings, require_output
+    from .machine.system import system_information
+    from .report.terminal import print_machine, terminal
+
+    identity = {"quick": options.quick, "variant": options.variant}
+    if options.out is not None:
+        require_output(options.out, ".json")
+        refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
+    from .validation.benchmark.specimen import Specimen
+
+    specimen = Specimen.of(_assembly(options))
+    console, system = terminal(options.quiet), system_information() | {"numba": _numba_version()}
+    print_machine(console, system)
+    pixels = list(specimen.grid.shape[::-1])
+    _measure(options, specimen, console, {"identity": identity, "pixels": pixels, "system": system})
+
+
+def _measure(options, specimen, console, content: dict) -> None:
+    """Measures part after part; each is shown and kept when it is done: an interrupt loses no more than its own."""
+    from .machine.files import write_json
+    from .validation.benchmark.pieces import pieces
+    from .validation.benchmark.scaling import costs, scaling
+    from .validation.benchmark.sums import TOLERANCE, Entry, sums
+    from .validation.benchmark.tables import print_costs, print_pieces, print_scaling, print_sums
+
+    def keep(name: str, figures: object) -> None:
+        content[name] = figures
+        if options.out:
+            write_json(options.out, content)
+
+    begin = time.perf_counter()
+    counts = QUICK_SCATTERERS if options.quick else SCATTERERS
+    content["tolerance"] = TOLERANCE
+    entries: list[Entry] = []
+    for count in counts:
+        say(options, f"sums of {count:,} scatterers ...")
+        entries += sums(specimen, count, QUICK_PEER_SECONDS if options.quick else PEER_SECONDS)
+        keep("sums", [asdict(entry) for entry in entries])
+    print_sums(console, specimen.grid.shape, entries)
+    for name, doing, measure, show in (
+        ("scaling", "scaling ...", lambda: scaling(specimen, counts), print_scaling),
+        ("costs", "costs ...", costs, print_costs),
+        ("pieces", "everything around the sums ...", lambda: pieces(specimen, options.quick), print_pieces),
+    ):
+        say(options, doing)
+        figures = measure()
+        keep(name, figures)
+        show(console, figures)
+    say(options, f"{time.perf_counter() - begin:.0f} s in all")
+
+
+def _parser():
     from .machine.backend import DEFAULT_VARIANT
 
     made = parser("benchmark", "Measures speed and error beside peers, in one run.")
@@ -34,55 +88,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     )
     add_force(made)
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
-    options = made.parse_args(arguments)
-    identity = {"quick": options.quick, "variant": options.variant}
-    if options.out is not None:
-        require_output(options.out, ".json")
-        refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
-    bench = Bench(_assembly(options), QUICK_PEER_SECONDS if options.quick else PEER_SECONDS, options.quick)
-    counts = QUICK_SCATTERERS if options.quick else SCATTERERS
-    from .machine.system import system_information
-
-    begin = time.perf_counter()
-    console = new_console(options.quiet)
-    system = system_information() | {"numba": _numba_version()}
-    names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "numba",
-             "LLVM")  # fmt: skip
-    console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
-    # Every part is shown and kept when it is done: an interrupt loses no more than the part it falls into.
-    content = {"identity": identity, "pixels": list(bench.grid.shape[::-1]), "tolerance": TOLERANCE, "system": system}
-
-    def keep(name: str, figures: object) -> None:
-        content[name] = figures
-        if options.out:
-            write_json(options.out, content)
-
-    entries: list[Entry] = []
-    for count in counts:
-        say(options, f"sums of {count:,} scatterers ...")
-        entries += bench.sums(count)
-        keep("sums", [asdict(entry) for entry in entries])
-    print_sums(console, bench.grid.shape, entries)
-    say(options, "scaling ...")
-    scaling = bench.scaling(counts)
-    keep("scaling", scaling)
-    print_scaling(console, scaling)
-    costs = bench.costs()
-    keep("costs", costs)
-    print_costs(console, costs)
-    say(options, "everything around the sums ...")
-    pieces = bench.pieces()
-    keep("pieces", pieces)
-    print_pieces(console, pieces)
-    say(options, f"{time.perf_counter() - begin:.0f} s in all")
+    return made
 
 
 def _assembly(options):
     """The tilted laser, on few pixels if it is to be quick."""
     import mitsuba as mi
 
-    from .scene.assembly import assembly_from_scene
     from .machine.backend import set_variant
+    from .scene.read import assembly_from_scene
+    from .validation.benchmark.specimen import SCENE
 
     set_variant(options.variant)
     mi.set_log_level(mi.LogLevel.Error)

@@ -5,25 +5,31 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-import traceback
 import warnings
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
+from .errors import InputError
 from .machine import interrupt
 from .scene.errors import one_line
 
-DONE, BAD_INPUT = 0, 2
+DONE, FAULT, BAD_INPUT = 0, 1, 2
+"""Exit statuses; one that is interrupted ends with 130."""
 
 
 def command(main: Callable[[Sequence[str] | None], int | None], arguments: Sequence[str] | None = None) -> int:
     """Runs a command's ``main`` and returns its exit status.
 
-    Bad input (ValueError, OSError, Mitsuba's RuntimeError) becomes one line on stderr and status 2; with ``--debug``
-    the traceback is shown as well. An interrupt ends the process with status 130.
+    Bad input (InputError, OSError, too little memory) becomes one line on stderr and status 2, any other error one line
+    that says that the fault is ours and status 1; with ``--debug`` the traceback is shown as well. An interrupt ends
+    the process with status 130. Without ``arguments`` it is the process's own command and takes those of the process.
     """
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    began = interrupt.listen()
+    is_own = arguments is None
+    with interrupt.answered(afterwards_ignored=is_own):
+        return _status(main, sys.argv[1:] if is_own else list(arguments))
+
+
+def _status(main: Callable[[Sequence[str] | None], int | None], arguments: list[str]) -> int:
     try:
         with warnings.catch_warnings():
             if "--debug" not in arguments:
@@ -35,16 +41,25 @@ def command(main: Callable[[Sequence[str] | None], int | None], arguments: Seque
         # The reader of our output has gone; nothing more can be said on it.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
-    except (ValueError, OSError, RuntimeError, MemoryError) as error:
-        if "--debug" in arguments:
-            traceback.print_exc()
+    except (InputError, OSError, MemoryError) as error:
+        _show_traceback(arguments)
         print(f"error: {one_line(error)}", file=sys.stderr)
         return BAD_INPUT
-    finally:
-        if began:
-            interrupt.stop_listening()
-        else:
-            interrupt.ignore()
+    except Exception as error:
+        _show_traceback(arguments)
+        what = f"{type(error).__name__}: {one_line(error)}" if str(error) else type(error).__name__
+        print(
+            f"internal error: {what} (no fault of your input but of speckle_mi: please report what --debug shows)",
+            file=sys.stderr,
+        )
+        return FAULT
+
+
+def _show_traceback(arguments: Sequence[str]) -> None:
+    if "--debug" in arguments:
+        import traceback
+
+        traceback.print_exc()
 
 
 class _Once(argparse.Action):
@@ -60,7 +75,7 @@ class _Once(argparse.Action):
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are ValueErrors of one line, as those of everything after it."""
+    """A parser whose errors are InputErrors of one line, as those of everything after it."""
 
     def __init__(self, *arguments, **named) -> None:
         super().__init__(*arguments, **named)
@@ -70,7 +85,7 @@ class _Parser(argparse.ArgumentParser):
         self.register("type", float, _number)
 
     def error(self, message: str) -> NoReturn:
-        raise ValueError(f"{message.removeprefix('argument ')} (see --help)")
+        raise InputError(f"{message.removeprefix('argument ')} (see --help)")
 
 
 def _whole_number(text: str) -> int:
@@ -90,9 +105,12 @@ def _number(text: str) -> float:
 def parser(name: str, description: str) -> argparse.ArgumentParser:
     """Parser for ``python -m speckle_mi.<name>`` with the flags that every command knows.
 
-    Its ``parse_args`` raises ValueError.
+    Its ``parse_args`` raises InputError. Lines of the description stay as they are.
     """
-    made = _Parser(prog=f"python -m speckle_mi.{name}", description=description, allow_abbrev=False)
+    made = _Parser(
+        prog=f"python -m speckle_mi.{name}".removesuffix("."), description=description, allow_abbrev=False,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
     made.add_argument("--quiet", action="store_true", help="print errors only")
     made.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return made

@@ -12,16 +12,13 @@ is left out, and the table says so.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
 from .command_line import add_force, command, say, scene_parser
-from .machine.files import identity_in, refuse_other_settings, require_folder
-from .machine.progress import progress_bars
-from .scene.load import load_scene
+from .errors import InputError
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
 MAX_POINT_SOURCES = 10**15
@@ -44,33 +41,38 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     settings = _settings(options)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .machine.files import identity_in, refuse_other_settings, require_folder
+    from .scene.load import open_scene
+
     folder = require_folder(options.out)
-    scene = load_scene(options.scene, options.defaults, options.variant)
-    # Not before the arguments are known to be good: these bring Mitsuba and matplotlib with them.
-    from .scene.assembly import assembly_from_scene
-    from .validation.convergence.plots import plot_convergence, plot_scatter
-    from .validation.convergence.report import print_report, write_rows, write_study
-    from .validation.convergence.study import Allowance, Study
+    scene = open_scene(options.scene, options.defaults, options.variant)
+    # Not before the arguments are known to be good: these bring matplotlib with them.
+    from .machine.progress import progress_bars
     from .machine.system import system_information
+    from .scene.read import assembly_from_scene
+    from .validation.convergence.plots import plot_convergence, plot_scatter
+    from .validation.convergence.report import print_report, write_findings, write_rows
+    from .validation.convergence.study import study
+    from .validation.convergence.subject import Subject
 
     assembly = assembly_from_scene(scene)
     identity = json.loads(json.dumps({"scene_hash": assembly.fingerprint(), "seed": assembly.seed} | settings))
     for name in ("converge.json", "converge.csv"):
         refuse_other_settings(folder / name, identity_in(folder / "converge.json"), identity, options.force)
-    study = Study(assembly, Path(options.scene).stem, settings, Allowance(settings["seconds"]))
+    subject = Subject.of(assembly, Path(options.scene).stem, settings["point_sources"])
     with progress_bars(options.quiet, predicts=False) as progress:
-        rows = study.every_method(progress)
-        scatter = study.scatter_over_surfaces(progress)
+        found = study(subject, settings, progress)
     folder.mkdir(parents=True, exist_ok=True)
-    write_rows(folder / "converge.csv", rows)
-    plot_convergence(folder / "converge.png", rows, study.name)
-    plot_scatter(folder / "statistics.png", scatter, study.name)
+    write_rows(folder / "converge.csv", found.rows)
+    plot_convergence(folder / "converge.png", found.rows, subject.name)
+    plot_scatter(folder / "statistics.png", found.scatter, subject.name)
     system = system_information()
     total = time.perf_counter() - start
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
-    write_study(folder / "converge.json", asked, study, rows, scatter, {"system": system, "seconds_total": total})
+    write_findings(folder / "converge.json", asked, found, {"system": system, "seconds_total": total})
     if not options.quiet:
-        print_report(study, rows, scatter, system)
+        print_report(found, system)
         say(options, f"{folder}: converge.csv, converge.json, converge.png and statistics.png, {total:.0f} s in all")
 
 
@@ -94,16 +96,16 @@ def _parser():
 def _settings(options) -> dict:
     settings = dict(QUICK if options.quick else FULL)
     if options.seconds is not None:
-        if not (np.isfinite(options.seconds) and options.seconds > 0):
-            raise ValueError(f"--seconds {options.seconds:g}: must be a finite number above 0")
+        if not (math.isfinite(options.seconds) and options.seconds > 0):
+            raise InputError(f"--seconds {options.seconds:g}: must be a finite number above 0")
         settings["seconds"] = options.seconds
     if options.point_sources is not None:
         try:
             values = sorted({float(text) for text in options.point_sources.split(",")})
         except ValueError:
-            values = [np.nan]
+            values = [math.nan]
         if not all(1 <= value <= MAX_POINT_SOURCES and value == int(value) for value in values):
-            raise ValueError(
+            raise InputError(
                 f"--point-sources {options.point_sources!r}: must be whole numbers with commas between, "
                 f"each 1 to {MAX_POINT_SOURCES:g}"
             )

@@ -1,4 +1,4 @@
-"""Displacement of a speckle pattern between images, to a small fraction of a pixel and with its uncertainty.
+"""``python -m speckle_mi.correlate``: displacement of a speckle pattern between images, to a small fraction of a pixel and with its uncertainty.
 
     python -m speckle_mi.correlate REF MOVED... [--window 256] [--fit affine] [--pitch 6] [--dark F] [--flat F] [--mask F]
 
@@ -13,16 +13,20 @@ import csv
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
-from .measurement.compare import Comparison, common_pitch
-from .measurement.deformation import FITS
+from .command_line import command, parser
+from .errors import InputError
+
+FITS = ("shift", "rotation", "scale", "affine")
+"""What `measurement.deformation` fits."""
 
 UNREADABLE = "unreadable"
 """Status of a moved image, one of several, that is none."""
 
 
-def main(argv: list[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None) -> int:
     """Print the comparison of two images as one JSON object, of more as CSV."""
     arguments = _arguments().parse_args(argv)
     _check(arguments)
@@ -35,8 +39,6 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _arguments():
-    from .command_line import parser
-
     made = parser("correlate", "Shift of the speckle pattern between images: JSON on stdout, CSV for several.")
     kinds = "a field image, or any EXR, TIFF, PNG, JPEG"
     made.add_argument("reference", metavar="REF", help=f"image before the motion: {kinds}")
@@ -59,13 +61,13 @@ def _arguments():
 
 def _check(arguments) -> None:
     if arguments.pitch is not None and not 0.0 < arguments.pitch < math.inf:
-        raise ValueError(f"--pitch {arguments.pitch:g}: must be a positive number of um")
+        raise InputError(f"--pitch {arguments.pitch:g}: must be a positive number of um")
     if arguments.high_pass is not None and not 1.0 <= arguments.high_pass < math.inf:
-        raise ValueError(f"--high-pass {arguments.high_pass:g}: must be at least 1 px")
+        raise InputError(f"--high-pass {arguments.high_pass:g}: must be at least 1 px")
 
 
 def _pages(text: str | None, count: int) -> list[int | None]:
-    """The page of each of ``count`` images. Raises ValueError."""
+    """The page of each of ``count`` images. Raises InputError."""
     if text is None:
         return [None] * count
     try:
@@ -73,31 +75,42 @@ def _pages(text: str | None, count: int) -> list[int | None]:
     except ValueError:
         pages = [0]
     if min(pages) < 1 or len(pages) not in (1, count):
-        raise ValueError(f"--page {text}: must be a whole number from 1, or {count} of them with commas, one an image")
+        raise InputError(f"--page {text}: must be a whole number from 1, or {count} of them with commas, one an image")
     return pages * count if len(pages) == 1 else pages
 
 
 def _comparer(arguments) -> Callable[[str, int], dict]:
     """A function that compares the reference with a moved image, by its name and number."""
-    from .images.correction import read_correction
+    # Not at the top: a command answers interrupts before it imports what takes time.
     from .images.pictures import read_image
     from .images.placing import middle_offset, on_common_pixels
+    from .machine.quiet import muted
+    from .measurement.compare import Comparison, common_pitch
+    from .measurement.correction import read_correction
+
+    def picture(name: str, page: int | None = None, channel: str | None = None):
+        with muted():  # OpenEXR prints what is damaged in pictures of other programs, besides the error it raises
+            return read_image(name, page, channel)
 
     pages = _pages(arguments.page, 1 + len(arguments.moved))
-    correction = read_correction(arguments.dark, arguments.flat, arguments.mask, arguments.bayer, arguments.colour)
+    correction = read_correction(
+        lambda name: picture(name).intensity,
+        arguments.dark, arguments.flat, arguments.mask, arguments.bayer, arguments.colour,
+    )  # fmt: skip
 
     def read(name: str, number: int):
-        return correction.apply(read_image(name, pages[number], arguments.channel))
+        image = picture(name, pages[number], arguments.channel)
+        return replace(image, intensity=correction.apply(image.intensity))
 
     reference = read(arguments.reference, 0)
-    made: dict[tuple, Comparison] = {}
+    made: dict[tuple, Comparison] = {}  # of the last kind of image
 
     def compared(name: str, number: int) -> dict:
         moved = read(name, number)
         given = common_pitch(reference.header, moved.header)
         pitch = given if arguments.pitch is None else 1e-3 * arguments.pitch
         if given is not None and pitch is not None and not math.isclose(given, pitch, rel_tol=1e-6):
-            raise ValueError(f"--pitch {arguments.pitch:g}: the images' headers say {1e3 * given:g} um")
+            raise InputError(f"--pitch {arguments.pitch:g}: the images' headers say {1e3 * given:g} um")
         one, other, note = on_common_pixels(reference, moved)
         key = (one.shape, moved.origin, pitch)  # moved images of one kind share the reference's transforms
         if key not in made:
@@ -158,6 +171,4 @@ def _table(names: list[str], compared: Callable[[str, int], dict]) -> int:
 
 
 if __name__ == "__main__":
-    from .command_line import command
-
     raise SystemExit(command(main))

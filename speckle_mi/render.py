@@ -6,14 +6,13 @@ import os
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from .command_line import add_force, command, say, scene_parser
-from .field.sources import settings_of_sources, source_layers, write_sources
-from .geometry.pose import Pose
-from .images.exr import read_header, write_field
-from .machine.files import refuse_other_settings, require_distinct, require_output
-from .machine.progress import progress_bars
-from .scene.load import load_scene
+from .errors import InputError
+
+if TYPE_CHECKING:
+    from .geometry.pose import Pose
 
 MAX_LAYERS = 1_000_000
 """Most fields of single scatterers in a file."""
@@ -35,20 +34,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--spp", type=int, default=0, help=spp_help)
     add_force(parser)
     options = parser.parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .machine.files import refuse_other_settings, require_distinct, require_output
+    from .scene.load import open_scene
+
     pose = None if options.pose is None else _pose(options.pose)
     for flag, value in (("--per-source", options.per_source), ("--spp", options.spp)):
         if value < 0:
-            raise ValueError(f"{flag} {value}: must not be negative")
+            raise InputError(f"{flag} {value}: must not be negative")
     if options.per_source > MAX_LAYERS:
-        raise ValueError(f"--per-source {options.per_source}: must be at most {MAX_LAYERS} (layers of a file)")
+        raise InputError(f"--per-source {options.per_source}: must be at most {MAX_LAYERS} (layers of a file)")
     require_output(options.output, ".exr")
     if options.sources is not None:
         require_output(options.sources, ".npz")
     require_distinct(SCENE=options.scene, output=options.output, sources=options.sources)
 
-    scene = load_scene(options.scene, options.defaults, options.variant)
-    from .scene.assembly import assembly_from_scene
-    from .field.simulate import simulate_frame
+    scene = open_scene(options.scene, options.defaults, options.variant)
+    from .field.simulation import simulate_frame
+    from .field.sources import settings_of_sources, source_layers, write_sources
+    from .images.exr import write_field
+    from .machine.progress import progress_bars
+    from .scene.read import assembly_from_scene
 
     assembly = assembly_from_scene(scene, spp=options.spp)
     settings = {
@@ -80,13 +86,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def _pose(text: str) -> Pose:
     """The displacement that ``--pose`` gives, which must name one."""
+    from .geometry.pose import Pose
+
     if not text.strip():
-        raise ValueError(f"--pose {text!r}: must name a displacement, for example x=0.02,ry=0.01")
+        raise InputError(f"--pose {text!r}: must name a displacement, for example x=0.02,ry=0.01")
     return Pose.parse(text)
 
 
 def settings_of_image(path: str | os.PathLike, wanted: Iterable[str]) -> dict | None:
     """What an image says of the ``wanted`` settings; None where it is none of ours."""
+    from .images.exr import read_header
+
     try:
         header = read_header(path)
     except ValueError:

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import add_force, command, parser, say
-from .machine.files import identity_in, refuse_other_settings, require_folder
 from .machine.interrupt import keeping
-from .validation.stability.case import BROKEN, LIMIT, Check
-from .validation.stability.catalogue import catalogue, print_table, write_table
 
 BOUND_BROKEN = 1
 """Exit status when a case breaks its bound."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
+    # Not at the top: a command answers interrupts before it imports what takes time.
     from .machine.backend import DEFAULT_VARIANT
 
     options_of = parser("stability", "Runs stiff and extreme cases against independent references.")
@@ -26,18 +24,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = options_of.parse_args(arguments)
     identity = {"catalogue": "quick" if options.quick else "whole", "variant": options.variant}
     _set_variant(options.variant)
+    from .validation.stability import catalogue as cases
+    from .validation.stability.case import BROKEN, LIMIT, Check
+
     folder = None if options.out is None else _folder(options.out, identity, options.force)
     checks: list[Check] = []
 
     def keep() -> None:
         if folder is not None:
-            write_table(folder, checks, identity)
+            cases.write_table(folder, checks, identity)
 
     with keeping(keep):  # an interrupted run keeps what it has found
-        for check in catalogue(options.quick, progress=not options.quiet):
+        for check in cases.catalogue(options.quick, progress=not options.quiet):
             checks.append(check)
     if not options.quiet:
-        print_table(checks)
+        cases.print_checks(checks)
     broken = sum(check.verdict == BROKEN for check in checks)
     limits = sum(check.verdict == LIMIT for check in checks)
     say(options, f"{len(checks)} checks: {len(checks) - broken - limits} ok, {limits} limits, {broken} broken")
@@ -54,6 +55,8 @@ def _set_variant(name: str) -> None:
 
 
 def _folder(name: str, identity: dict, force: bool) -> Path:
+    from .machine.files import identity_in, refuse_other_settings, require_folder
+
     folder = require_folder(name)
     for result in ("stability.json", "stability.csv"):
         refuse_other_settings(folder / result, identity_in(folder / "stability.json"), identity, force)

@@ -6,21 +6,25 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from .command_line import add_force, command, say, scene_parser
-from .experiments.sweep import SweepResult, SweepSettings, frame_count, frames_of, run_sweep
-from .geometry.pose import DEGREES_OF_FREEDOM, Pose
-from .machine.files import refuse_other_settings, require_folder, write_json
+from .errors import InputError
 from .machine.interrupt import keeping
-from .scene.load import load_scene
+
+if TYPE_CHECKING:
+    from .experiments.sweep_result import SweepSettings
 
 SMALLEST_RANGE = 1e-9
 """Least range of a sweep [mm or deg]: places hold fewer digits than a smaller one needs."""
+
+SEEDS = 8
+"""Surfaces of a sweep unless asked for otherwise."""
 
 MAX_FRAMES = 1_000_000
 """Most frames of a sweep."""
@@ -29,17 +33,24 @@ MAX_FRAMES = 1_000_000
 def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .experiments.sweep import run_sweep
+    from .experiments.sweep_result import SweepResult, frame_count
+    from .machine.files import require_folder
+    from .scene.load import open_scene
+
     settings = _settings(options)
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
-    scene = load_scene(options.scene, options.defaults, options.variant)
+    scene = open_scene(options.scene, options.defaults, options.variant)
     from .report import sweep_report as report
-    from .scene.assembly import assembly_from_scene
+    from .report.console import print_report
+    from .scene.read import assembly_from_scene
 
     assembly = assembly_from_scene(scene)
-    settings = _with_seeds(settings, assembly.seed, options.seeds)
+    settings = _with_seeds(settings, assembly.seed, _surfaces(assembly, options))
     largest = max(assembly.detector.shape)
     if settings.window is not None and settings.window > largest:
-        raise ValueError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
+        raise InputError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
     identity = _identity(assembly, settings)
     _claim(folder, identity, options.force)
     result = SweepResult()
@@ -61,11 +72,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     summary["seconds_total"] = time.perf_counter() - start
     report.write_summary(folder / "summary.json", summary)
     if not options.quiet:
-        report.print_report(summary)
+        print_report(summary)
         say(options, f"{folder}: frames, sweep.csv, summary.json and plots, {summary['seconds_total']:.1f} s in all")
 
 
 def _parser():
+    from .geometry.pose import DEGREES_OF_FREEDOM
+
     parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
     everything = ",".join(DEGREES_OF_FREEDOM)
     parser.add_argument("--dof", default=everything, metavar=everything, help="motions to sweep (default: all six)")
@@ -73,7 +86,8 @@ def _parser():
         "--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)"
     )
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
-    parser.add_argument("--seeds", type=int, default=8, help="number of surfaces (default: %(default)s)")
+    seeds_help = f"number of surfaces (default: {SEEDS}, or 1 where the scene has its own points)"
+    parser.add_argument("--seeds", type=int, default=None, help=seeds_help)
     window_help = "side of the correlation window, px (default: 256, less on a small detector; the paper's: 64)"
     parser.add_argument("--window", type=int, default=None, help=window_help)
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
@@ -82,38 +96,57 @@ def _parser():
 
 
 def _settings(options) -> SweepSettings:
+    import numpy as np
+
+    from .experiments.sweep_result import SweepSettings, frames_of
+    from .geometry.pose import DEGREES_OF_FREEDOM, Pose
+
     dofs = tuple(name.strip() for name in options.dof.split(","))
     for name in dofs:
         if name not in DEGREES_OF_FREEDOM:
-            raise ValueError(f"--dof {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
+            raise InputError(f"--dof {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
     if len(set(dofs)) != len(dofs):
-        raise ValueError(f"--dof {options.dof!r}: must name each motion once")
-    if not SMALLEST_RANGE <= options.range < np.inf:
+        raise InputError(f"--dof {options.dof!r}: must name each motion once")
+    if not SMALLEST_RANGE <= options.range < math.inf:
         least = f"{SMALLEST_RANGE:g} (mm or deg)"
-        raise ValueError(f"--range {options.range:g}: must be a finite number of at least {least}")
+        raise InputError(f"--range {options.range:g}: must be a finite number of at least {least}")
     if options.steps < 2:
-        raise ValueError(f"--steps {options.steps}: must be at least 2")
-    if options.seeds < 1:
-        raise ValueError(f"--seeds {options.seeds}: must be at least 1")
+        raise InputError(f"--steps {options.steps}: must be at least 2")
+    seeds = SEEDS if options.seeds is None else options.seeds
+    if seeds < 1:
+        raise InputError(f"--seeds {seeds}: must be at least 1")
     if options.window is not None and options.window < 4:
-        raise ValueError(f"--window {options.window}: must be at least 4 px")
-    frames = frames_of(options.seeds, len(dofs), options.steps)
+        raise InputError(f"--window {options.window}: must be at least 4 px")
+    frames = frames_of(seeds, len(dofs), options.steps)
     if frames > MAX_FRAMES:
-        raise ValueError(
-            f"--seeds {options.seeds} --steps {options.steps}: would make {frames:.3g} frames, "
+        raise InputError(
+            f"--seeds {seeds} --steps {options.steps}: would make {frames:.3g} frames, "
             f"must be at most {MAX_FRAMES:.0e}"
         )
     for dof in dofs:
         try:
             Pose(**{dof: options.range / 2})
         except ValueError as error:
-            raise ValueError(f"--range {options.range:g}: {error}") from None
+            raise InputError(f"--range {options.range:g}: {error}") from None
     displacements = np.linspace(-options.range / 2, options.range / 2, options.steps)
     return SweepSettings(dofs, displacements, (), options.window)
 
 
+def _surfaces(assembly, options) -> int:
+    """How many surfaces are swept: the user's own points are one, whatever its seed."""
+    if assembly.target.points is None:
+        return SEEDS if options.seeds is None else options.seeds
+    if options.seeds is not None and options.seeds > 1:
+        raise InputError(
+            f"--seeds {options.seeds}: must be 1, the target's own points are one surface and no seed makes another"
+        )
+    if options.seeds is None:
+        say(options, "one surface: the target's own points; intervals rest on the residuals of its frames")
+    return 1
+
+
 def _with_seeds(settings: SweepSettings, first: int, count: int) -> SweepSettings:
-    return SweepSettings(settings.dofs, settings.displacements, tuple(range(first, first + count)), settings.window)
+    return replace(settings, seeds=tuple(range(first, first + count)))
 
 
 def _identity(assembly, settings: SweepSettings) -> dict:
@@ -128,7 +161,10 @@ def _identity(assembly, settings: SweepSettings) -> dict:
 
 
 def _claim(folder: Path, identity: dict, force: bool) -> None:
-    """Makes the folder ready; ValueError when it holds results of other settings and ``force`` is not given."""
+    """Makes the folder ready; InputError when it holds results of other settings and ``force`` is not given."""
+    from .machine.files import refuse_other_settings, write_json
+    from .machine.fragments import remove_abandoned
+
     settings_file = folder / "settings.json"
     if settings_file.is_file():
         try:
@@ -137,8 +173,9 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
             held = None
         refuse_other_settings(folder, held, identity, force)
     elif folder.is_dir() and any(folder.iterdir()) and not force:
-        raise ValueError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
+        raise InputError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
     (folder / "frames").mkdir(parents=True, exist_ok=True)
+    remove_abandoned(folder / "frames")
     if force:
         for stale in (
             *folder.glob("frames/*.exr"),

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .command_line import command, parser
-from .machine.system import system_information
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     parser("sysinfo", "Prints versions, the LLVM found, variants and cores.").parse_args(arguments)
+    from .machine.system import system_information
+
     information = system_information()
     width = max(map(len, information))
     for name, value in information.items():

@@ -13,15 +13,13 @@ from scene_builder import (
     frame_along,
     integrator_xml,
     laser_xml,
-    parameters,
     scene_of,
     target_xml,
-    transform,
 )
 
-from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.read import assembly_from_scene
 from speckle_mi.scene.errors import one_line
-from speckle_mi.geometry.frames import Frame
+from speckle_mi.scene import write
 
 LONGEST_LINE = 400
 
@@ -30,7 +28,7 @@ CAMERA = detector_frame(direction(0), 60.0)
 
 
 def on_axis(z):
-    return transform(Frame(np.array([0.0, 0.0, z]), np.eye(3)))
+    return write.to_world(write.on_axis(z))
 
 
 LENS = {"radius1": 50.0, "radius2": -50.0, "conic1": 0.0, "conic2": 0.0, "thickness": 5.0, "diameter": 20.0, "ior": 1.5}
@@ -39,9 +37,8 @@ PARTS = {
     "laser": laser_xml(ABOVE),
     "target": target_xml(),
     "detector": detector_xml(CAMERA, width=16, height=8),
-    "lens": f'<shape type="lens" id="lens">{on_axis(25.0)}{parameters(LENS)}</shape>',
-    "aperture": '<shape type="aperture" id="aperture">'
-    f'{on_axis(40.0)}{parameters({"radius": 0.5, "outer_radius": 9.0})}</shape>',
+    "lens": write.shape("lens", "lens", write.on_axis(25.0), **LENS).xml(),
+    "aperture": write.shape("aperture", "aperture", write.on_axis(40.0), radius=0.5, outer_radius=9.0).xml(),
 }
 
 

@@ -49,7 +49,7 @@ def load(mitsuba):
 @pytest.fixture(scope="session")
 def assemble(mitsuba):
     """The assembly of a scene given as XML text."""
-    from speckle_mi.scene.assembly import assembly_from_scene
+    from speckle_mi.scene.read import assembly_from_scene
 
     def assemble(text: str, spp: int = 0):
         return assembly_from_scene(mitsuba.load_string(text), spp=spp)
@@ -60,7 +60,7 @@ def assemble(mitsuba):
 @pytest.fixture(scope="session")
 def shipped(mitsuba):
     """The assembly of a scene in ``scenes/`` with values of its <default>s."""
-    from speckle_mi.scene.assembly import assembly_from_scene
+    from speckle_mi.scene.read import assembly_from_scene
 
     def shipped(name: str, **defaults):
         values = {key: str(value) for key, value in defaults.items()}

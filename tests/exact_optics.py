@@ -23,16 +23,15 @@ from scene_builder import (
     frame_along,
     integrator_xml,
     laser_xml,
-    parameters,
     scene_of,
     target_xml,
-    transform,
 )
 from scipy.special import roots_legendre
 
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.rotation import rotation_matrix
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
+from speckle_mi.scene.write import Typed, material, shape, write_points
 
 STEP = 1e-40  # Of a complex step: derivatives without any cancellation.
 
@@ -205,26 +204,24 @@ def tilted(*degrees: float) -> np.ndarray:
 
 
 def element_xml(kind: str, name: str, frame, inside: str = "", size=(1.0, 1.0, 1.0), **values) -> str:
-    """A shape with ``to_world`` from a frame, scaled before by ``size``."""
-    to_world = transform(Frame(frame.origin, frame.axes * np.asarray(size, float)))
-    return f'<shape type="{kind}" id="{name}">{to_world}{parameters(values)}{inside}</shape>'
+    """A shape at a place, scaled before by ``size``."""
+    return shape(kind, name, frame, [inside], size, **values).xml()
 
 
-DIELECTRIC = '<bsdf type="dielectric"><float name="int_ior" value="1.5151"/><float name="ext_ior" value="1"/></bsdf>'
-MIRROR = '<bsdf type="conductor"/>'
-BLACK = '<bsdf type="diffuse"><rgb name="reflectance" value="0"/></bsdf>'
+DIELECTRIC = material("dielectric", int_ior=1.5151, ext_ior=1.0).xml()
+MIRROR = material("conductor").xml()
+BLACK = material("diffuse", reflectance=Typed("rgb", 0)).xml()
 
 
 def bench(tmp_path, sources, detector, elements, *, pixels=(24, 16), pitch=0.05, wavelength=632.8, **integrator) -> str:
     """A scene of point sources (n, 3) [mm], elements, a detector, and a plane wave of ``wavelength`` [nm] along -z."""
-    table = tmp_path / "points.csv"
-    np.savetxt(table, np.atleast_2d(sources), delimiter=",", fmt="%.17g")
+    table = write_points(tmp_path / "points.csv", sources)
     light = frame_along(np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, 50.0]), np.array([1.0, 0.0, 0.0]))
     return scene_of(
         integrator_xml(**({"tolerance": 1e-6} | integrator)),
         laser_xml(light, beam_radius=None, wavefront_radius=None, wavelength=wavelength),
         *elements,
-        target_xml(WORLD, points=str(table), roughness=None, point_sources=None),
+        target_xml(WORLD, points=table, roughness=None, point_sources=None),
         detector_xml(detector, width=pixels[0], height=pixels[1], pixel_pitch=pitch),
     )
 

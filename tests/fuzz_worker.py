@@ -31,14 +31,14 @@ def main(kind: str, examples: str, outcomes: str) -> None:
 
 
 def judge_scene(content: bytes, folder: Path) -> tuple[str, str]:
-    from speckle_mi.scene.assembly import assembly_from_scene
+    from speckle_mi.scene.read import assembly_from_scene
     from speckle_mi.scene.errors import one_line
-    from speckle_mi.scene.load import load_scene
+    from speckle_mi.scene.load import open_scene
 
     path = folder / "scene.xml"
     path.write_bytes(content)
     try:
-        assembly_from_scene(load_scene(str(path), [], "llvm_ad_mono"))
+        assembly_from_scene(open_scene(str(path), [], "llvm_ad_mono"))
     except (ValueError, OSError, RuntimeError, MemoryError) as error:  # what the commands turn into one line
         return "refused", one_line(error)
     except Exception as error:

@@ -5,24 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from speckle_mi.geometry.frames import Frame
+from speckle_mi.scene import write
+from speckle_mi.scene.write import aimed, direction, frame_along, parameters
 
-WORLD = Frame(np.zeros(3), np.eye(3))
+__all__ = ["direction", "frame_along", "parameters"]
 
-
-def direction(polar_deg: float, azimuth_deg: float = 0.0) -> np.ndarray:
-    """Unit vector (3,) at an angle from +z, turned about z from +x."""
-    polar, azimuth = np.radians([polar_deg, azimuth_deg])
-    return np.array([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
-
-
-def frame_along(z: np.ndarray, origin: np.ndarray, x_hint: np.ndarray) -> Frame:
-    """Right-handed frame whose z axis is ``z`` and whose x axis is as near to ``x_hint`` as that allows."""
-    z = np.asarray(z, float) / np.linalg.norm(z)
-    x = np.asarray(x_hint, float) - (x_hint @ z) * z
-    if np.linalg.norm(x) < 1e-9:
-        x = np.cross(np.array([0.0, 1.0, 0.0]), z)
-    x /= np.linalg.norm(x)
-    return Frame(np.asarray(origin, float), np.stack([x, np.cross(z, x), z], axis=1))
+WORLD = write.ORIGIN
+transform, scene_of = write.to_world, write.scene_text
 
 
 def detector_frame(sight: np.ndarray, distance: float, tilt: np.ndarray | None = None) -> Frame:
@@ -30,59 +19,24 @@ def detector_frame(sight: np.ndarray, distance: float, tilt: np.ndarray | None =
 
     Columns run as far along +x as the line of sight allows (the local x axis points against the columns).
     """
-    frame = frame_along(-np.asarray(sight), distance * np.asarray(sight), np.array([-1.0, 0.0, 0.0]))
+    frame = aimed(distance * np.asarray(sight))
     return frame if tilt is None else Frame(frame.origin, tilt @ frame.axes)
 
 
-def transform(frame: Frame) -> str:
-    """``to_world`` of a frame."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = frame.axes, frame.origin
-    numbers = " ".join(repr(float(value)) for value in matrix.ravel())
-    return f'<transform name="to_world"><matrix value="{numbers}"/></transform>'
-
-
-def parameters(values: dict) -> str:
-    """Parameters as XML elements by the type of their values; None is left out."""
-    lines = []
-    for name, value in values.items():
-        kind = {bool: "boolean", int: "integer", float: "float", str: "string"}.get(type(value))
-        if value is None:
-            continue
-        assert kind, f"{name} = {value!r}"
-        text = str(value).lower() if kind == "boolean" else value if kind == "string" else repr(value)
-        lines.append(f'<{kind} name="{name}" value="{text}"/>')
-    return " ".join(lines)
-
-
 def laser_xml(frame: Frame, **values) -> str:
-    values = {"wavelength": 632.8, "beam_radius": 0.12, "wavefront_radius": -750.0} | values
-    return f'<emitter type="laser" id="laser">{transform(frame)}{parameters(values)}</emitter>'
+    return write.laser(frame, **{"beam_radius": 0.12, "wavefront_radius": -750.0} | values).xml()
 
 
 def target_xml(frame: Frame = WORLD, bsdf: str = "", **values) -> str:
-    values = {"roughness": 0.8, "point_sources": 100} | values
-    return f'<shape type="rough_target" id="target">{transform(frame)}{parameters(values)}{bsdf}</shape>'
+    return write.rough_target(frame, inside=[bsdf], **{"roughness": 0.8, "point_sources": 100} | values).xml()
 
 
 def detector_xml(frame: Frame, width: int = 64, height: int = 48, pixel_pitch: float = 0.006, samples: int = 1) -> str:
-    sampler = (
-        f'<sampler type="independent"><integer name="sample_count" value="{samples}"/></sampler>'
-        if samples != 1
-        else ""
-    )
-    return (
-        f'<sensor type="detector" id="detector">{transform(frame)}{parameters({"pixel_pitch": pixel_pitch})}'
-        f'<film type="hdrfilm">{parameters({"width": width, "height": height})}</film>{sampler}</sensor>'
-    )
+    return write.detector(frame, width, height, pixel_pitch, samples).xml()
 
 
 def integrator_xml(**values) -> str:
-    return f'<integrator type="coherent">{parameters(values)}</integrator>'
-
-
-def scene_of(*parts: str) -> str:
-    return '<scene version="3.0.0">\n' + "\n".join(parts) + "\n</scene>"
+    return write.integrator(**values).xml()
 
 
 def free_space(
@@ -107,7 +61,7 @@ def free_space(
     to_laser, sight = np.asarray(to_laser), np.asarray(sight)
     return scene_of(
         integrator_xml(**(integrator or {})),
-        laser_xml(placed(frame_along(-to_laser, laser_distance * to_laser, np.array([1.0, 0, 0]))), **(laser or {})),
+        laser_xml(placed(frame_along(-to_laser, laser_distance * to_laser)), **(laser or {})),
         target_xml(target_frame, **(target or {})),
         detector_xml(placed(detector_frame(sight, detector_distance, tilt)), **(detector or {})),
         extra,

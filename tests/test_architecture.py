@@ -12,9 +12,9 @@ ROOT = Path(__file__).resolve().parent.parent
 PACKAGE, PLUGINS = ROOT / "speckle_mi", ROOT / "plugins"
 RENDERER = {"mitsuba", "drjit"}
 LEVELS = (
-    {"version"},
-    {"geometry", "machine", "measurement"},
-    {"images", "optics", "propagation", "scattering", "theory"},
+    {"version", "errors"},
+    {"geometry", "machine"},
+    {"images", "measurement", "optics", "propagation", "scattering", "theory"},
     {"scene"},
     {"plan"},
     {"field"},
@@ -24,7 +24,7 @@ LEVELS = (
     {"command_line"},
 )
 """Rooms in the order in which data flows; a room imports from those of earlier levels and from itself."""
-COMMANDS = {"render", "sweep", "correlate", "converge", "stability", "benchmark", "sysinfo"}
+COMMANDS = {"render", "sweep", "correlate", "converge", "stability", "benchmark", "sysinfo", "scenes", "__main__"}
 THIN = 230  # Lines of a plugin: documentation, parameters and registration, no physics.
 LONGEST = 400  # Lines of a file that can still be seen whole.
 
@@ -196,3 +196,36 @@ def test_no_module_imports_tests_or_reads_machine_paths(module):
     text = SOURCES[module].read_text(encoding="utf-8")
     assert "tests" not in top_level(imports(module, at_import=False))
     assert not [folder for folder in ("work", "root", "tmp") if f"/{folder}/" in text]
+
+
+def test_every_public_class_has_a_name_of_its_own():
+    found: dict[str, list[str]] = {}
+    for module, path in SOURCES.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found.setdefault(node.name, []).append(module)
+    assert not {name: modules for name, modules in found.items() if len(modules) > 1}
+
+
+@pytest.mark.parametrize("module", sorted(SOURCES))
+def test_what_is_private_to_a_file_stays_in_it(module):
+    text = ast.parse(SOURCES[module].read_text(encoding="utf-8"))
+    taken = {
+        alias.name
+        for node in ast.walk(text)
+        if isinstance(node, ast.ImportFrom) and node.level
+        for alias in node.names
+        if alias.name.startswith("_") and not alias.name.startswith("__")
+    }
+    # The plugins' shared modules are private to Mitsuba's search path, not to a file.
+    assert not {name for name in taken if f"{module.rpartition('.')[0]}.{name}" not in SOURCES}
+
+
+PROCESS_WIDE = {"speckle_mi.machine.cores"}
+"""Modules that know something of the process, which no scene changes."""
+
+
+@pytest.mark.parametrize("module", sorted(SOURCES.keys() - PROCESS_WIDE))
+def test_no_module_remembers_results(module):
+    names = {name.rpartition(".")[2] for name in imports(module, at_import=False) if name.startswith("functools.")}
+    assert not names & {"lru_cache", "cache"}

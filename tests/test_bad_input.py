@@ -148,13 +148,13 @@ BAD_FLAGS = {
     "converge N1 too many": ("converge", [SCENE, "--out", "o", "--point-sources", "1e15", *SMALL], ["at most 1e+08"]),
     "benchmark nameless": ("benchmark", ["--quick", "--out", ""], ["''", "name of a file"]),
     "benchmark elsewhere": ("benchmark", ["--quick", "--out", "b.txt"], ["b.txt", ".json"]),
-    "stability nameless": ("stability.__main__", ["--out", ""], ["--out", "folder"]),
+    "stability nameless": ("stability", ["--out", ""], ["--out", "folder"]),
     "correlate nameless": ("correlate", ["", ""], ["''", "image"]),
     "correlate window empty": ("correlate", ["a.exr", "b.exr", "--window", ""], ["--window", "whole number"]),
     "correlate no file": ("correlate", ["a.exr", "b.exr"], ["a.exr"]),
     "correlate a folder": ("correlate", [".", "."], ["."]),
-    "stability into a file": ("stability.__main__", ["--out", SCENE], ["tilted_laser.xml", "folder"]),
-    "stability variant": ("stability.__main__", ["--variant", "none"], ["none", "llvm_ad_mono"]),
+    "stability into a file": ("stability", ["--out", SCENE], ["tilted_laser.xml", "folder"]),
+    "stability variant": ("stability", ["--variant", "none"], ["none", "llvm_ad_mono"]),
 }
 
 
@@ -165,7 +165,7 @@ def test_a_bad_flag_is_refused_in_one_line_and_leaves_nothing(run, tmp_path, fau
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["render", "sweep", "correlate", "sysinfo", "stability.__main__"])
+@pytest.mark.parametrize("name", ["render", "sweep", "correlate", "sysinfo", "stability"])
 @pytest.mark.parametrize("arguments", [["--no-such-flag"], ["--steps", "many"], ["--out"]])
 def test_an_unknown_or_unreadable_flag_ends_with_status_2(run, name, arguments):
     status, lines = run(name, *arguments)
@@ -269,7 +269,7 @@ def test_files_of_other_programs_are_not_overwritten_unless_forced(run, tmp_path
     (tmp_path / "f.exr").write_text("mine")
     refused(run("render", SCENE, "-o", "f.exr", *SMALL), "f.exr", "--force")
     (tmp_path / "out").mkdir()
-    for start, name in ((("converge", SCENE), "converge.csv"), (("stability.__main__",), "stability.csv")):
+    for start, name in ((("converge", SCENE), "converge.csv"), (("stability",), "stability.csv")):
         (tmp_path / "out" / name).write_text("mine")
         refused(run(*start, "--out", "out"), name, "--force")
     (tmp_path / "b.json").write_text("{}")

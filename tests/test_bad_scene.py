@@ -9,9 +9,9 @@ import pytest
 from bad_scenes import ABOVE, CAMERA, PARTS, is_clear, on_axis, refusal, scene_with, with_parameter
 from scene_builder import detector_frame, detector_xml, direction, frame_along, laser_xml, target_xml
 
-from speckle_mi.scene.assembly import assembly_from_scene
+from speckle_mi.scene.read import assembly_from_scene
 from speckle_mi.scene.errors import one_line
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 # Every number of every plugin
 

@@ -49,8 +49,10 @@ COLUMNS = [
     "sigma_v_um",
 ]
 AXES = {"u", "v", "x", "y", "cog_u", "cog_v"}
-ENTRY = {"value", "ci95", "theory", "bias", "scatter_um", "unit"}
-DONE, BAD_INPUT, INTERRUPTED = 0, 2, 130
+ENTRY = {
+    "value", "ci95", "theory", "bias", "scatter_um", "unit", "basis", "frames_used", "frames_dropped", "note",
+}  # fmt: skip
+DONE, FAULT, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 
 def run(command, *arguments, cwd, blocked=()):
@@ -281,10 +283,11 @@ def test_sweep_table_agrees_with_correlating_its_frames(swept):
         assert float(row[name]) == pytest.approx(result[name], rel=1e-6, abs=1e-6)
 
 
-def test_sweep_prints_theory_the_papers_figures_and_the_three_errors(swept):
+def test_sweep_prints_theory_and_the_three_errors(swept):
     _, done = swept
-    for word in ("plan:", "theory", "paper", "scatter", "numerical error", "0.94"):
+    for word in ("plan:", "theory", "scatter", "numerical error", "0.94"):
         assert word in done.stdout, word
+    assert "paper" not in done.stdout, "its camera is not the paper's"
     assert "Traceback" not in done.stderr
 
 
@@ -364,3 +367,38 @@ def test_commands_run_from_any_folder_with_nothing_set(tmp_path):
         cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120,
     )
     assert done.returncode == DONE, done.stderr
+
+
+# Whose fault it is
+
+ENDS_WITH = """
+import sys
+from speckle_mi.command_line import command
+from speckle_mi.errors import InputError
+from speckle_mi.scene.errors import SceneError
+def main(arguments):
+    raise {error}
+sys.exit(command(main, {arguments}))
+"""
+
+
+@pytest.mark.parametrize(
+    "error",
+    ["ValueError('axes of shape (2,)')", "TypeError('no')", "RuntimeError('kernel')", "AssertionError()"],
+)
+def test_a_fault_of_the_program_is_not_called_the_users_input(error):
+    done = subprocess.run(
+        [sys.executable, "-c", ENDS_WITH.format(error=error, arguments=[])], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == FAULT
+    assert done.stderr.startswith(f"internal error: {error.partition('(')[0]}") and done.stderr.count("\n") == 1
+    assert "report" in done.stderr and "--debug" in done.stderr
+    script = ENDS_WITH.format(error=error, arguments=["--debug"])
+    shown = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60).stderr
+    assert "Traceback" in shown and shown.endswith(done.stderr)
+
+
+@pytest.mark.parametrize("error", ["InputError('window = 3')", "SceneError('no laser')", "OSError(28, 'No space left')"])
+def test_what_the_user_can_put_right_is_bad_input(error):
+    script = ENDS_WITH.format(error=error, arguments=[])
+    refused(subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60))

@@ -11,18 +11,19 @@ import pytest
 from conftest import SCENES
 
 from speckle_mi.converge import main
+from speckle_mi.validation.convergence.exact import exact_field
 from speckle_mi.validation.convergence.frame import (
     DOES_NOT_APPLY,
     LEFT_OUT,
     MEASURED,
     Row,
     Setting,
-    exact_sample,
     with_point_sources,
 )
+from speckle_mi.validation.convergence.prediction import Predictor
 from speckle_mi.validation.convergence.scatter import Scatter
 from speckle_mi.geometry.pose import Pose
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 SMALL = ["-D", "width=64", "-D", "height=48", "-D", "pixel_pitch=0.03", "-D", "beam_radius=0.2"]
 AMPLE = "600"
@@ -150,13 +151,13 @@ def test_error_behind_a_lens_falls_with_the_tolerance(imaging):
 @pytest.mark.parametrize("name, small", [("ball_lens", {"width": 24, "height": 18, "stop_radius": 0.1}),
                                          ("fig4_aperture", {"width": 40, "height": 40, "pixel_pitch": 0.03}),
                                          ("folded", {"width": 40, "height": 40})])  # fmt: skip
-def test_exact_sample_agrees_with_the_whole_frame(shipped, name, small):
+def test_the_exact_field_agrees_with_the_whole_frame(shipped, name, small):
     """The field summed on some pixels alone is that of the same pixels of the detector, to the tolerance of both."""
     assembly = shipped(name, **small)
-    sample = exact_sample(with_point_sources(assembly, 2), 1e-6)
+    exact = exact_field(with_point_sources(assembly, 2), 1e-6)
     frame = simulate_frame(Setting("auto", 2, 1e-5).of(assembly), Pose())
-    error, phase = sample.errors(frame.image.field)
-    assert sample.scatterers == frame.scatterers.count
+    error, phase = exact.errors(frame.image.field)
+    assert exact.scatterers == frame.scatterers.count
     assert error < SAMPLING * 1e-5
     assert phase < error
 
@@ -198,3 +199,28 @@ def test_rays_behind_an_opening_that_diffracts_say_that_they_do_not_apply(mitsub
     assert len(rays) == 2 and all("does not apply: openings diffract" in row["note"] for row in rays)
     assert np.all(errors(rays) > 0.1)
     assert errors(measured(rows, "auto", 3))[-1] < 1e-4
+
+
+def row(point_sources: int, seconds: float | None) -> Row:
+    """A row that was measured, or left out."""
+    status = LEFT_OUT if seconds is None else MEASURED
+    return Row("", "", "auto", point_sources, None, None, 1e-4, status, seconds_median=seconds)
+
+
+@pytest.mark.parametrize("method, grown", [("direct", 100.0), ("rays", 100.0), ("fast", 10.0)])
+def test_time_of_a_frame_grows_with_its_pairs_or_with_the_root_of_few_scatterers(method, grown):
+    predictor = Predictor(method, pixels=10_000)
+    assert predictor.seconds(0, 10) == 0.0 and not predictor.knows(0)
+    predictor.learn(0, row(10, 0.5))
+    assert predictor.knows(0) and predictor.seconds(0, 1000) == pytest.approx(0.5 * grown)
+
+
+def test_a_finer_accuracy_is_not_predicted_faster_than_the_coarser_one_but_for_rays():
+    for method, least in (("auto", 3.0), ("rays", 0.0)):
+        predictor = Predictor(method, pixels=100)
+        predictor.learn(0, row(1000, 3.0))
+        assert predictor.seconds(1, 1000) == least and predictor.seconds(1, 10) == 0.0
+    left_out = Predictor("auto", pixels=100)
+    left_out.assume(0, 1000, 2.0)
+    left_out.learn(0, row(2000, None))
+    assert left_out.seconds(1, 2000) == 4.0, "what was left out would have taken that long"

@@ -20,7 +20,7 @@ from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 
 from speckle_mi.geometry.frames import Frame
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import threading
 
 import numpy as np
 import OpenEXR
@@ -79,7 +81,7 @@ def test_mitsuba_opens_it_and_shows_the_intensity(mitsuba, written):
 
 def test_header_of_a_rendered_frame_says_what_it_is(shipped, tmp_path):
     from speckle_mi.geometry.pose import Pose
-    from speckle_mi.field.simulate import simulate
+    from speckle_mi.field.simulation import simulate
 
     assembly = shipped("both_tilted", width=32, height=16, seed=3, method="direct")
     rendered = simulate(assembly, Pose(x=0.02, rz=-0.01))
@@ -185,3 +187,40 @@ def test_a_field_that_is_not_finite_survives(tmp_path):
     odd.field[0, 0] = complex(math.inf, math.nan)
     write_field(tmp_path / "f.exr", odd)
     np.testing.assert_array_equal(read_field(tmp_path / "f.exr").field, odd.field)
+
+
+def test_a_damaged_file_of_ours_is_refused_without_a_word_of_the_library(written, capfd):
+    """Wherever it is cut, and whichever line begins wrongly: a library prints nothing, and mutes nobody else."""
+    whole = written.read_bytes()
+    first_line = len(whole) - ROWS * (8 + 3 * 4 * COLUMNS)
+    damages = [whole[:length] for length in range(first_line - 8 * ROWS, len(whole), 97)]
+    for place in (first_line, first_line + 4, first_line - 8 * ROWS, first_line - 1):
+        damages.append(whole[:place] + bytes([whole[place] ^ 0x41]) + whole[place + 1 :])
+    for content in damages:
+        written.write_bytes(content)
+        with pytest.raises(FieldImageError, match="f.exr"):
+            read_field(written)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_threads_that_read_leave_standard_output_and_error_to_the_others(written, tmp_path):
+    """The process's own descriptors, as other programs and compiled code see them, stay what they were throughout."""
+    damaged_file = tmp_path / "cut.exr"
+    damaged_file.write_bytes(written.read_bytes()[:-1])
+    streams = [(number, os.fstat(number).st_ino) for number in (1, 2)]
+    begun, changed = threading.Barrier(5), []
+
+    def reads() -> None:
+        begun.wait()
+        for _ in range(40):
+            read_field(written)
+            with pytest.raises(FieldImageError):
+                read_field(damaged_file)
+
+    threads = [threading.Thread(target=reads) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    begun.wait()
+    while any(thread.is_alive() for thread in threads):
+        changed += [number for number, file in streams if os.fstat(number).st_ino != file]
+    assert not changed and [(number, os.fstat(number).st_ino) for number in (1, 2)] == streams

@@ -22,7 +22,7 @@ from speckle_mi.geometry.plane import PlaneGrid
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.geometry.rotation import rotation_matrix
 from speckle_mi.field.sources import write_sources
-from speckle_mi.field.simulate import simulate, simulate_frame
+from speckle_mi.field.simulation import simulate, simulate_frame
 
 FIELD_ERROR = 1e-5  # Relative L2 error promised for the exact sum.
 FILM_ROUNDING = 3e-7  # A film weights red, green and blue in single precision.

@@ -14,7 +14,7 @@ from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.theory.paraxial import entrance_pupil, system_matrix
 from speckle_mi.measurement.sensitivity import fit_sensitivity
-from speckle_mi.field.simulate import simulate, simulate_frame
+from speckle_mi.field.simulation import simulate, simulate_frame
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH

@@ -16,7 +16,7 @@ from conftest import SCENES
 from test_commands import SMALL, run
 
 from speckle_mi.images.exr import read_field
-from speckle_mi.machine.interrupt import INTERRUPTED, is_command
+from speckle_mi.machine.interrupt import INTERRUPTED
 
 SCENE = str(SCENES / "tilted_laser.xml")
 SWEEP = ["--dof", "x,ry", "--range", "0.02", "--steps", "3", "--seeds", "2", "--out", "out", "--quiet", *SMALL]
@@ -58,31 +58,46 @@ def test_an_interrupted_command_keeps_what_it_can_and_leaves_no_fragment(tmp_pat
     assert not Path(done.stdout.strip()).exists()
 
 
+HEAVY = ("numpy", "mitsuba", "drjit", "OpenEXR", "matplotlib", "rich", "finufft")
+"""What takes long to import."""
+
+
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-def test_a_command_that_is_still_being_imported_ends_in_one_line(tmp_path, stop):
-    """The signal comes with the first import of the package that follows its own."""
+@pytest.mark.parametrize("name", ["render", "sweep", "converge", "correlate", "stability", "benchmark", "sysinfo"])
+def test_a_command_that_is_still_importing_ends_in_one_line(name, tmp_path, stop):
+    """The signal comes with the first import of what takes long: by then, every command answers it."""
+    arguments = {"render": ["none.xml", "-o", "f.exr", "--pose", "x=1"], "sweep": ["none.xml"],
+                 "converge": ["none.xml", "--out", "o"], "correlate": ["a.exr", "b.exr"]}.get(name, [])  # fmt: skip
     script = (
         "import os, runpy, sys\n"
         "class Stops:\n"
         "    def find_spec(self, name, path=None, target=None):\n"
-        f"        if name == 'speckle_mi.machine.llvm': os.kill(os.getpid(), {int(stop)})\n"
+        f"        if name in {HEAVY}: os.kill(os.getpid(), {int(stop)})\n"
         "sys.meta_path.insert(0, Stops())\n"
-        "sys.argv[0], sys.orig_argv = '-m', ['python', '-m', 'speckle_mi.render']\n"
-        "runpy.run_module('speckle_mi.render', run_name='__main__')\n"
+        f"sys.argv[1:] = {arguments}\n"
+        f"runpy.run_module('speckle_mi.{name}', run_name='__main__')\n"
     )
     done = subprocess.run([sys.executable, "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.returncode == INTERRUPTED, done.stderr
     assert done.stderr.count("\n") == 1 and "interrupted" in done.stderr
 
 
-def test_a_library_leaves_signals_alone():
-    assert is_command(["-m", "a.xml"], ["python", "-m", "speckle_mi.sweep", "a.xml"])
-    assert is_command(["-m", "a.xml"], ["python", "-mspeckle_mi.sweep", "a.xml"])
-    assert not is_command(["pytest"], ["python", "-m", "pytest", "speckle_mi.xml"])
-    assert not is_command(["-m"], ["python", "-m", "other.speckle_mi"])
-    assert not is_command([""], ["python"])
-    script = "import signal, speckle_mi; print(signal.getsignal(signal.SIGTERM) is signal.SIG_DFL)"
-    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True).stdout.strip() == "True"
+def test_a_host_that_calls_a_command_gets_its_signals_back():
+    script = """
+import signal, threading
+from speckle_mi.command_line import command
+def host(*_): pass
+signal.signal(signal.SIGINT, host)
+inside = []
+def main(arguments):
+    inside.append(signal.getsignal(signal.SIGINT) is not host)
+assert command(main, []) == 0 and inside == [True]
+other = threading.Thread(target=command, args=(main, []))
+other.start(); other.join()
+print(signal.getsignal(signal.SIGINT) is host, signal.getsignal(signal.SIGTERM) is signal.SIG_DFL, inside[1])
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.strip() == "True True False", done.stderr
 
 
 def test_an_interrupted_sweep_goes_on_from_its_finished_frames(tmp_path):

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from exact_optics import diffracted, disc_nodes, spherical
+from exact_optics import DIELECTRIC, MIRROR, diffracted, disc_nodes, spherical, tilted
 from numpy.polynomial.legendre import leggauss
 from scipy.optimize import brentq
 
-from speckle_mi.field import simulate as simulation
 from speckle_mi.measurement.correlator import Correlator
 from speckle_mi.measurement.speckle_statistics import centre_of_gravity
 from speckle_mi.experiments.expectation import expected_sensitivity
 from speckle_mi.geometry.pose import Pose
-from speckle_mi.field.simulate import plan_of, simulate, simulate_frame
+from speckle_mi.field.simulation import plan_of, simulate, simulate_frame
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.scene import write
+from speckle_mi.scene.write import aimed, on_axis, scene_text
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH
@@ -28,44 +30,35 @@ IRRADIANCE_TOLERANCE = 1e-3
 """Of the unobstructed intensity behind an aperture, and of the peak in an image."""
 
 
-def scene(elements: str, detector: str, source=(0.0, 0.0, 0.0), folder=None, pixels=48, pitch=0.04, options="") -> str:
+def scene(
+    elements: str, detector: Frame, source=(0.0, 0.0, 0.0), folder=None, pixels=48, pitch=0.04, options=None
+) -> str:
     """A scene with one scatterer, lit evenly by a collimated laser from the side."""
-    points = folder / "points.csv"
-    points.write_text("x,y,z\n" + ",".join(map(repr, source)) + "\n")
-    return f"""<scene version="3.0.0">
-      <integrator type="coherent">{options}</integrator>
-      <emitter type="laser" id="laser">
-        <transform name="to_world"><lookat origin="-30,0,40" target="0,0,0" up="0,1,0"/></transform>
-        <float name="wavelength" value="632.8"/>
-      </emitter>
-      <shape type="rough_target" id="target"><string name="points" value="{points}"/></shape>
-      {elements}
-      <sensor type="detector" id="detector">
-        <transform name="to_world">{detector}</transform>
-        <float name="pixel_pitch" value="{pitch}"/>
-        <film type="hdrfilm"><integer name="width" value="{pixels}"/><integer name="height" value="{pixels}"/></film>
-      </sensor>
-    </scene>"""
+    return scene_text(
+        write.integrator(**(options or {})),
+        write.laser(aimed([-30.0, 0, 40.0])),
+        elements,
+        write.rough_target(points=write.write_points(folder / "points.csv", source)),
+        write.detector(detector, pixels, pixels, pitch),
+    )
 
 
-def facing(z: float) -> str:
-    return f'<lookat origin="0,0,{z}" target="0,0,0" up="0,1,0"/>'
+def facing(z: float) -> Frame:
+    return aimed([0.0, 0, z])
 
 
 def stop(z: float, radius: float, name: str = "stop") -> str:
-    return f"""<shape type="aperture" id="{name}"><transform name="to_world"><translate z="{z}"/></transform>
-      <float name="radius" value="{radius}"/><float name="outer_radius" value="{radius + 15}"/></shape>"""
+    return write.shape("aperture", name, on_axis(z), radius=radius, outer_radius=radius + 15).xml()
 
 
 BICONVEX = {"radius1": 50.0, "radius2": -50.0, "thickness": 5.0, "diameter": 20.0, "ior": 1.5151}
 
 
 def lens(z: float, **values) -> str:
-    numbers = "".join(f'<float name="{name}" value="{value}"/>' for name, value in (BICONVEX | values).items())
-    return f'<shape type="lens" id="lens"><transform name="to_world"><translate z="{z}"/></transform>{numbers}</shape>'
+    return write.shape("lens", "lens", on_axis(z), **BICONVEX | values).xml()
 
 
-GEOMETRIC = '<boolean name="diffraction" value="false"/>'
+GEOMETRIC = {"diffraction": False}
 
 
 def unit_field(assembly):
@@ -129,13 +122,13 @@ def test_plane_mirror_is_the_image_source(assemble, tmp_path, angle):
     # The mirror's normal turned by the angle from -z: light along +z leaves at twice the angle.
     turn = np.radians(2 * angle)
     place = np.array([0, 0, 80.0]) + 50 * np.array([np.sin(turn), 0, -np.cos(turn)])
-    mirror = f"""<shape type="rectangle" id="mirror"><transform name="to_world"><scale value="12"/>
-      <rotate y="1" angle="{180 - angle}"/><translate z="80"/></transform><bsdf type="conductor"/></shape>"""
-    wall = """<shape type="disk" id="wall"><transform name="to_world"><scale value="14"/><rotate y="1" angle="90"/>
-      <translate x="14" z="22"/></transform><bsdf type="diffuse"/></shape>"""
-    looks = f'<lookat origin="{place[0]},0,{place[2]}" target="0,0,80" up="0,1,0"/>'
+    tilt = tilted(0, 180 - angle, 0)
+    mirror = write.shape("rectangle", "mirror", Frame(np.array([0, 0, 80.0]), tilt), [MIRROR], (12, 12, 1)).xml()
+    side = Frame(np.array([14.0, 0, 22.0]), tilted(0, 90, 0))
+    wall = write.shape("disk", "wall", side, [write.material("diffuse")], (14, 14, 1)).xml()
+    looks = aimed(place, (0.0, 0, 80.0))
     assembly = assemble(
-        scene(mirror + wall, looks, (0.3, -0.2, 0.0), tmp_path, options='<string name="method" value="direct"/>')
+        scene(mirror + wall, looks, (0.3, -0.2, 0.0), tmp_path, options={"method": "direct"})
     )
     field, frame = unit_field(assembly)
     lines = " ".join(frame.plan)
@@ -212,7 +205,6 @@ def test_free_space_launches_no_ray(shipped, monkeypatch):
     from speckle_mi.plan import plan
 
     monkeypatch.setattr(plan, "find_routes", lambda *_: pytest.fail("a ray was launched"))
-    monkeypatch.setattr(simulation, "_plans", {})
     frame = simulate_frame(shipped("tilted_laser", width=32, height=32))
     assert "no ray is launched" in frame.plan[0]
 
@@ -251,8 +243,8 @@ def test_order_of_shapes_in_the_file_is_irrelevant(assemble, tmp_path):
 def test_rays_of_the_paper_agree_with_the_geometric_field(assemble, tmp_path):
     elements = lens(97.0) + stop(103.0, 2.0)
     exact, rays = (
-        simulate(assemble(scene(elements, facing(160), (0.1, 0.0, 0.0), tmp_path, options=GEOMETRIC + method))).field
-        for method in ("", '<string name="method" value="rays"/>')
+        simulate(assemble(scene(elements, facing(160), (0.1, 0.0, 0.0), tmp_path, options=GEOMETRIC | method))).field
+        for method in ({}, {"method": "rays"})
     )
     assert np.linalg.norm(exact - rays) / np.linalg.norm(exact) < 1e-3  # a few pixels on the shadow's edge may differ
 
@@ -260,8 +252,8 @@ def test_rays_of_the_paper_agree_with_the_geometric_field(assemble, tmp_path):
 @pytest.mark.parametrize(
     ("shape", "what"),
     [
-        ('<shape type="cylinder" id="rod"><bsdf type="dielectric"/></shape>', "rod"),
-        ('<shape type="sphere" id="bubble"><bsdf type="thindielectric"/></shape>', "bubble"),
+        (write.shape("cylinder", "rod", on_axis(0.0), [DIELECTRIC]).xml(), "rod"),
+        (write.shape("sphere", "bubble", on_axis(0.0), [write.material("thindielectric")]).xml(), "bubble"),
     ],
 )
 def test_what_cannot_be_taken_into_account_is_refused_by_name(assemble, tmp_path, shape, what):

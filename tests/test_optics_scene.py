@@ -21,12 +21,12 @@ from exact_optics import (
 )
 from scipy.optimize import brentq
 
-from speckle_mi.field import simulate, stages as fields
+from speckle_mi.field import simulation as simulate, stages as fields
 from speckle_mi.plan import plan
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH
@@ -320,7 +320,10 @@ def test_an_aperture_far_larger_than_the_light_diffracts_nothing(shipped, monkey
 
 def test_plan_is_kept_with_the_image(shipped):
     header = simulate.simulate(shipped("folded", width=8, height=8)).header
-    assert "unfolded: plane mirror" in header["plan"]
+    unfolded, *_ = [stage for stage in header["plan"] if stage["kind"] == "unfolded"]
+    assert unfolded["elements"] == ["mirror"] and unfolded["way"] == "target - mirror - detector"
+    done, *_ = [stage for stage in header["plan"] if stage["kind"] == "sum"]
+    assert done["how"]["points"] == 64 and 0 < done["error"] < 1e-4 and done["seconds"] > 0
 
 
 # Refusals

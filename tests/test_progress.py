@@ -62,8 +62,8 @@ def test_the_loops_of_a_frame_tell_how_far_they_are(mitsuba, monkeypatch, method
     from bad_scenes import ABOVE, scene_with
     from scene_builder import integrator_xml, laser_xml
 
-    from speckle_mi.scene.assembly import assembly_from_scene
-    from speckle_mi.field.simulate import simulate_frame
+    from speckle_mi.scene.read import assembly_from_scene
+    from speckle_mi.field.simulation import simulate_frame
 
     told = []
     monkeypatch.setattr(progress._Bars, "tell", lambda self, *what: told.append(what))

@@ -9,7 +9,7 @@ import pytest
 from speckle_mi.geometry.plane import PlaneGrid, PlanePoints
 from speckle_mi.propagation.coherent_sum import coherent_sum
 from speckle_mi.propagation.paths import FreeSpace
-from speckle_mi.propagation.bandlimited import node_grid, reach_of
+from speckle_mi.propagation.bandlimited import REACH_BINS, node_grid, nodes_for, reach_of
 from speckle_mi.propagation.chebyshev import (
     TensorSeries,
     chebyshev_nodes,
@@ -97,6 +97,26 @@ def test_field_of_a_small_spot_needs_far_fewer_nodes_than_pixels():
     reach = reach_of(FreeSpace(), sources, weights, box, grid)
     nodes = node_grid(FreeSpace(), reach, grid, WAVELENGTH, 1e-4)
     assert nodes.size * 20 < grid.size
+
+
+@pytest.mark.parametrize("half_turns", [0.0, 1e-3, 0.4, 7.0, 60.0, 400.0])
+@pytest.mark.parametrize("tolerance", [1e-1, 1e-4, 1e-9])
+def test_nodes_are_as_many_as_a_plane_wave_needs_and_few_more(half_turns, tolerance):
+    """All power in the outermost bin: the wave itself, interpolated from the nodes and looked at between them."""
+    power = np.zeros(REACH_BINS)
+    power[-1] = 1.0
+    count = nodes_for(half_turns, power, tolerance)
+    places = np.random.default_rng(1).uniform(-1, 1, 300)
+
+    def error(nodes: int) -> float:
+        wave = np.exp(2j * np.pi * half_turns * chebyshev_nodes(nodes))
+        exact = np.exp(2j * np.pi * half_turns * places)
+        return float(np.sqrt(np.mean(np.abs(interpolation_matrix(nodes, places) @ wave - exact) ** 2)))
+
+    assert error(count) < tolerance
+    # Two for the amplitude; beyond the bandwidth c the coefficients fall within some c^(1/3) orders.
+    spare = 4 + int(np.cbrt(2 * np.pi * half_turns))
+    assert count <= spare or error(count - spare) > tolerance
 
 
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-5, 1e-8])

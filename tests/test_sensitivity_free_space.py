@@ -18,7 +18,7 @@ from speckle_mi.measurement.correlator import Correlator
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from speckle_mi.geometry.rotation import rotation_matrix
-from speckle_mi.field.simulate import simulate
+from speckle_mi.field.simulation import simulate
 from speckle_mi.measurement.speckle_statistics import contrast, speckle_size
 
 FIRST_ORDER = json.loads((Path(__file__).parent / "reference" / "first_order.json").read_text())["cases"]
@@ -68,8 +68,8 @@ def first_order(assembly):
     target, grid = assembly.target, assembly.detector
     return theory.per_degree(
         theory.first_order_displacement(
-            target.spot, target.frame.origin, target.frame.axes, -assembly.beam.axis, assembly.beam.wavefront_radius,
-            grid.centre, grid.u, grid.v, target.spot_normal,
+            assembly.spot.point, target.frame.origin, target.frame.axes, -assembly.beam.axis, assembly.beam.wavefront_radius,
+            grid.centre, grid.u, grid.v, assembly.spot.normal,
         )
     )
 
@@ -123,7 +123,7 @@ def test_rotation_about_an_origin_outside_the_beam_moves_the_spot_as_well(assemb
     )
     assembly = assemble(text)
     np.testing.assert_allclose(assembly.target.frame.origin, frame.origin)
-    np.testing.assert_allclose(assembly.target.spot, np.zeros(3), atol=1e-9)
+    np.testing.assert_allclose(assembly.spot.point, np.zeros(3), atol=1e-9)
     assert_agrees(measured_sensitivities(assembly), first_order(assembly))
 
 

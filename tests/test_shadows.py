@@ -26,7 +26,7 @@ from scipy.special import fresnel
 from speckle_mi.field import stages as fields
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 WAVELENGTH = 632.8e-6
 FIELD = 1e-5  # Relative L2 over the pixels that are clear of a shadow's edge by more than the next figure.

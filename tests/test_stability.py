@@ -41,9 +41,10 @@ def test_the_catalogue_writes_its_table_and_tells_a_broken_bound_by_its_status(
     catalogue, tmp_path, monkeypatch, capsys
 ):
     from speckle_mi import stability
+    from speckle_mi.validation.stability import catalogue as cases
     from speckle_mi.validation.stability.case import Check, within
 
-    monkeypatch.setattr(stability, "catalogue", lambda *_, **__: iter(catalogue[:3]))
+    monkeypatch.setattr(cases, "catalogue", lambda *_, **__: iter(catalogue[:3]))
     assert stability.main(["--out", str(tmp_path / "out")]) == 0
     with open(tmp_path / "out" / "stability.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -52,7 +53,7 @@ def test_the_catalogue_writes_its_table_and_tells_a_broken_bound_by_its_status(
     assert list(rows[0]) == list(held[0]) == [column.name for column in fields(Check)]
     assert "3 checks: 3 ok" in capsys.readouterr().out
     off = within("made up", "error", 1.0, 0.0, 1.0, 0.5)
-    monkeypatch.setattr(stability, "catalogue", lambda *_, **__: iter([*catalogue[:3], off]))
+    monkeypatch.setattr(cases, "catalogue", lambda *_, **__: iter([*catalogue[:3], off]))
     assert stability.main(["--quiet"]) == 1
 
 

@@ -16,7 +16,7 @@ from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.geometry.rotation import rotation_matrix
 from speckle_mi.scattering.beam import Beam
-from speckle_mi.field.simulate import simulate, simulate_frame
+from speckle_mi.field.simulation import simulate, simulate_frame
 from speckle_mi.scattering.facets import Facets
 from speckle_mi.scattering.rough_surface import RoughSurface, illuminated_scatterers
 
@@ -64,9 +64,11 @@ def test_a_scatterer_under_the_beam_at_two_poses_is_the_same_scatterer(pose):
 
 def test_material_place_is_the_same_to_the_last_bit_at_every_height_of_the_target():
     surface, beam = patch(), normal_beam()
-    rest = material(surface, beam)
+    # Under the beam at every height, whose radius changes a little along it.
+    always = lambda places: places[np.linalg.norm(places[:, :2], axis=1) < 0.95 * beam.cutoff]  # noqa: E731
+    rest = always(material(surface, beam))
     for z in (1.0, -3.0, 7.123456789):
-        moved = illuminated_scatterers(surface, beam, WORLD.moved(Pose(z=z))).position
+        moved = always(illuminated_scatterers(surface, beam, WORLD.moved(Pose(z=z))).position)
         moved = moved[np.argsort(moved[:, 0])]
         np.testing.assert_array_equal(moved[:, :2], rest[:, :2])
 

@@ -21,7 +21,7 @@ from scipy.spatial import cKDTree
 
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 pytestmark = pytest.mark.usefixtures("mitsuba")
 

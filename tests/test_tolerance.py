@@ -29,7 +29,7 @@ from speckle_mi.geometry.plane import PlaneGrid
 from speckle_mi.propagation.coherent_sum import coherent_sum
 from speckle_mi.propagation.paths import FreeSpace, RayleighSommerfeld
 from speckle_mi.propagation.reference import reference_sum
-from speckle_mi.field.simulate import simulate_frame
+from speckle_mi.field.simulation import simulate_frame
 
 CHECKED_POINTS = 40
 FREE, MIRRORS, LENSES, OPENINGS = 150, 30, 30, 30

@@ -9,6 +9,7 @@ from numpy.polynomial.chebyshev import chebvander
 from scipy.linalg import eigh
 from scipy.ndimage import binary_dilation
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid
 from ..machine.memory import excess
 from ..optics.sequence import Sequence
@@ -27,7 +28,7 @@ others."""
 
 
 @dataclass(frozen=True)
-class Arrivals:
+class SourceRays:
     """The rays of one source that its light on the detector is interpolated from.
 
     rays: all of the lattice; box: (2, 2) low and high corner of the region that they are interpolated in [mm];
@@ -46,7 +47,7 @@ class Arrivals:
     solid_angle: float
 
 
-def arrivals_of(system: Sequence, grid: PlaneGrid, cones: LaunchCones, source, count: int) -> Arrivals | int:
+def rays_of_source(system: Sequence, grid: PlaneGrid, cones: LaunchCones, source, count: int) -> SourceRays | int:
     """Trace the lattice of one source. Returns the number of rays traced instead where too few of them arrive."""
     traced = 0
     window = cones.of(source)
@@ -62,7 +63,7 @@ def arrivals_of(system: Sequence, grid: PlaneGrid, cones: LaunchCones, source, c
     return traced
 
 
-def _selected(rays: Rays, lit: np.ndarray, shape: tuple[int, int], solid_angle: float, grid: PlaneGrid) -> Arrivals:
+def _selected(rays: Rays, lit: np.ndarray, shape: tuple[int, int], solid_angle: float, grid: PlaneGrid) -> SourceRays:
     """Choose the rays that lend their path: those in and around the lit region, and a narrow band behind its rims."""
     low, high = (np.array([f(rays.a[lit]), f(rays.b[lit])]) for f in (np.min, np.max))
     step = np.sqrt(np.median(np.abs(rays.tube[lit])) * solid_angle)
@@ -78,7 +79,7 @@ def _selected(rays: Rays, lit: np.ndarray, shape: tuple[int, int], solid_angle: 
     no_ray = (rays.status > RayStatus.OUTSIDE_OUTLINE).reshape(shape)
     ragged = bool(np.any(binary_dilation(no_ray) & lit.reshape(shape)))
     lines = tuple(int(used.reshape(shape).any(axis=i).sum()) for i in (1, 0))
-    return Arrivals(rays, box, lit, used, lines, rim_cuts, ragged, solid_angle)
+    return SourceRays(rays, box, lit, used, lines, rim_cuts, ragged, solid_angle)
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,7 @@ class Fit:
     path_error: float
 
     @classmethod
-    def through(cls, arrivals: Arrivals, wavelength: float) -> Fit:
+    def through(cls, arrivals: SourceRays, wavelength: float) -> Fit:
         """Least squares over the rays used, of the degree that they determine stably."""
         rays, box, used = arrivals.rays, arrivals.box, arrivals.used
         place = np.stack([rays.a[used], rays.b[used]])
@@ -106,7 +107,7 @@ class Fit:
         keep = _euclidean_degree(arrivals.lines, count)
         # The basis and its orthonormal combinations; half as much again for the products on the way.
         if too_much := excess(3 * 8 * count * np.count_nonzero(keep)):
-            raise ValueError(f"method 'rays': the {count} rays of one source {too_much}: take fewer rays_per_source")
+            raise InputError(f"method 'rays': the {count} rays of one source {too_much}: take fewer rays_per_source")
         x, y = (chebvander(t, n - 1) for t, n in zip(_scaled(place.T, box).T, keep.shape, strict=True))
         basis = (x[:, :, None] * y[:, None, :])[:, keep]
         # By the small Gram matrix, refined once: far cheaper than QR. Where rays fill only part of the box the basis is
@@ -167,7 +168,7 @@ def _scaled(place: np.ndarray, box: np.ndarray) -> np.ndarray:
     return (2.0 * place - box[0] - box[1]) / (box[1] - box[0])
 
 
-def _lit_cells(arrivals: Arrivals) -> np.ndarray:
+def _lit_cells(arrivals: SourceRays) -> np.ndarray:
     """Cells of the box, about 2.5 rays wide, that hold a free ray or touch one that does.
 
     Keeps clearances that are extrapolated far from all rays from lighting anything; edges lie where a clearance

@@ -26,13 +26,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.frames import Frame
 from ..geometry.plane import PlaneGrid
 from ..machine.progress import tell
 from ..optics.sequence import Interaction, Sequence
 from ..optics.surface import Surface
 from .ray_fan import LaunchCones
-from .ray_fit import Arrivals, Fit, arrivals_of
+from .ray_fit import Fit, SourceRays, rays_of_source
 
 FEWEST_RAYS = 16
 """Rays a source below which there is no lattice to interpolate on."""
@@ -87,7 +88,7 @@ def ray_field(
     if len(position):
         cones = LaunchCones.around(system, grid, position)
         for number, (source, weight) in enumerate(zip(position, amplitude, strict=True)):
-            total.add(arrivals_of(system, grid, cones, source, rays_per_source), weight)
+            total.add(rays_of_source(system, grid, cones, source, rays_per_source), weight)
             tell("sources", number + 1, len(position))
     return total.result()
 
@@ -112,7 +113,7 @@ def _to_detector(sequence: Sequence | None, grid: PlaneGrid) -> Sequence:
     return Sequence((*before, Interaction.through(plane, before[-1].index_after if before else 1.0)))
 
 
-def _check_no_caustic(arrivals: Arrivals, wavelength: float) -> bool:
+def _check_no_caustic(arrivals: SourceRays, wavelength: float) -> bool:
     """Whether the shadow of the rims is sharper than diffraction makes it; ValueError where light is focused.
 
     A caustic on the detector is where the tubes' section changes sign, or where rays from different sides of a focal
@@ -133,7 +134,7 @@ def _check_no_caustic(arrivals: Arrivals, wavelength: float) -> bool:
     elif reach < 100.0 * wavelength:
         reason = f"a focal line lies {1e3 * reach:.3g} um from the detector"
     if reason:
-        raise ValueError(
+        raise InputError(
             f"method 'rays' does not apply: the detector meets a caustic ({reason}). Rays have no field there; "
             "use method 'auto' with diffraction, which is right in and out of focus, or move the detector out of focus"
         )
@@ -150,7 +151,7 @@ class _Sum:
         self._rays_traced, self._path_error = 0, 0.0
         self._notes: Counter[str] = Counter()
 
-    def add(self, arrivals: Arrivals | int, weight: complex) -> None:
+    def add(self, arrivals: SourceRays | int, weight: complex) -> None:
         """Add one source of strength ``weight``; a number of rays: of a source that does not reach the detector."""
         if isinstance(arrivals, int):
             self._rays_traced += arrivals

@@ -8,6 +8,7 @@ import zipfile
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.pose import Pose
 from ..machine.files import replacing
 from ..machine.memory import excess
@@ -20,17 +21,17 @@ BYTES_PER_LAYER = 24
 def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[str, np.ndarray]:
     """Complex fields (rows, columns) of the first ``count`` scatterers alone, by the names of their layers.
 
-    Raises ValueError where they take more memory than the machine has.
+    Raises InputError where they take more memory than the machine has.
     """
-    from .simulate import field_of
+    from .simulation import Simulation
 
     asked, count = count, min(count, scatterers.count)
     if too_much := excess(count * assembly.detector.size * BYTES_PER_LAYER):
-        raise ValueError(f"--per-source {asked}: the layers {too_much}")
+        raise InputError(f"--per-source {asked}: the layers {too_much}")
     digits = max(3, len(str(count)))
-    layers = {}
+    layers, simulation = {}, Simulation(assembly)
     for number in range(count):
-        layers[f"source{number:0{digits}d}"] = field_of(assembly, scatterers.selected(np.array([number])), pose)
+        layers[f"source{number:0{digits}d}"] = simulation.field_of(scatterers.selected(np.array([number])), pose)
         tell("layers", number + 1, count)
     return layers
 

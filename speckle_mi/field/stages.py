@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..geometry.frames import Frame
-from ..geometry.outline import Circle
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
-from ..optics.sequence import Interaction, Sequence, detector_plane
+from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
+from ..plan.edges import phase_gradient
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
     SHADOWS_ON_OPENING,
@@ -27,14 +28,15 @@ from ..plan.shadows import (
     shapes_beside_way,
 )
 from ..plan.way import Channel, Rim
-from ..propagation.coherent_sum import SumResult, coherent_sum
+from ..propagation.coherent_sum import How, SumResult, coherent_sum
 from ..propagation.opening_quadrature import opening_nodes
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
 from ..propagation.reference import reference_sum
+from ..plan.stage import RAYS, SUM, Stage
 from ..scattering.rough_surface import Scatterers
-from ..scene.assembly import Assembly
+from ..plan.setup import Setup
 from ..scene.errors import SceneError
-from .lobe import lobe_towards
+from .lobe import EVEN, Lobe, LobeTerm
 from .ray_method import ray_field
 
 _DARK = 1e-4
@@ -50,66 +52,147 @@ _GRADIENT_SAFETY = 1.05
 
 @dataclass(frozen=True)
 class ChannelField:
-    """field: complex (rows, columns); lines: how the sums were done; error: estimated relative L2 error."""
+    """field: complex (rows, columns); stages: how the sums were done; error: estimated relative L2 error."""
 
     field: np.ndarray
-    lines: tuple[str, ...]
+    stages: tuple[Stage, ...]
     error: float
 
 
 def channel_field(
-    assembly: Assembly, frame: Frame, scatterers: Scatterers, channel: Channel, grid: PlaneGrid
+    setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, lobe: Lobe | None = None
 ) -> ChannelField:
-    """The field on ``grid``, which is the channel's unfolded detector or a part of it, with the target at ``frame``."""
-    options, wavelength = assembly.options, assembly.beam.wavelength
-    sources, weights, axes, opening = scatterers.position, scatterers.amplitude, frame.axes, None
-    middle, _ = assembly.spot_at(frame)
-    lines, errors = [], []
-    stops = len(channel.openings)
-    tolerance = max(options.tolerance / (stops + 1), 1e-8)
+    """The field on ``grid``, which is the channel's unfolded detector or a part of it.
+
+    lobe: shapes the radiation of the scatterers, None for even radiation.
+    """
+    if not channel.openings:
+        return _without_openings(setup, scatterers, channel, grid, lobe)
+    options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
+    sources, weights, axes, opening = scatterers.position, scatterers.amplitude, setup.frame.axes, None
+    tolerance = max(options.tolerance / (len(channel.openings) + 1), 1e-8)
+    stages: list[Stage] = []
     for number, rim in enumerate(channel.openings):
+        began = time.perf_counter()
         targets = _next_targets(channel, number, grid)
         try:
             nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, tolerance)
-        except ValueError as error:
+        except InputError as error:
             raise SceneError(
                 f"opening {rim.name!r}: {error}; "
                 "put a smaller stop, or set diffraction to false where there is no focus"
             ) from None
         path = _path(channel, number, rim.end, opening, wavelength)
-        result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
-        values = result.field
         if number == 0:
-            if has_shadow(channel, rim, sources, axes):
-                how = wavelength, options.method, tolerance
-                values, shared = _with_shadows_on(nodes, channel, rim, path, sources, weights, values, *how)
-                errors.append(shared)
-            values = values * _lobe(assembly, frame, middle, channel, rim, nodes)
-        lines.append(f"sum to {rim.name}, {nodes.size} nodes: {result.plan}")
-        errors.append(result.numerical_error)
+            values, results = _on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe)
+        else:
+            result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
+            values, results = result.field, [(result.how, result.numerical_error)]
+        stages += _sums((rim.name,), results, began, nodes.size)
         sources, weights, axes = nodes.points(), values * areas, rim.plane.frame.axes
-        towards = np.mean(targets, axis=0) - rim.plane.frame.origin
-        normal = rim.plane.frame.axes[:, 2]
-        opening = (normal if normal @ towards > 0 else -normal, rim.index)
-    path = _path(channel, stops, detector_plane(channel.grid), opening, wavelength)
-    if stops or is_clear(assembly, channel, sources, axes):
-        result = _summed(channel, path, sources, weights, grid, wavelength, options.method, tolerance)
-        values, plan, error = result.field.reshape(grid.shape), result.plan, result.numerical_error
-    else:
-        values, plan, error = _shadowed_field(assembly, channel, path, sources, weights, grid)
+        opening = (rim.normal, rim.index)
+    began = time.perf_counter()
+    path = _path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
+    result = _summed(channel, path, sources, weights, grid, wavelength, options.method, tolerance)
+    values = result.field.reshape(grid.shape)
     if channel.hidden is not None:
         _require_dark(channel, values)
-    if not stops:
-        values = values * _lobe(assembly, frame, middle, channel, None, grid)
-    lines.append(f"sum to the detector: {plan}")
-    return ChannelField(values, tuple(lines), float(np.sqrt(np.sum(np.square([*errors, error])))))
+    stages += _sums(("the detector",), [(result.how, result.numerical_error)], began)
+    return _channel_field(channel, values, stages)
+
+
+def _without_openings(
+    setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, lobe: Lobe | None
+) -> ChannelField:
+    """The field of a channel whose light is diffracted nowhere, with its shadows."""
+    assembly, began = setup.assembly, time.perf_counter()
+    path = _path(channel, 0, detector_plane(channel.grid), None, assembly.beam.wavelength)
+    clear = is_clear(setup, channel, scatterers.position, setup.frame.axes)
+    how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance
+    values, results, share = None, [], None
+    for term in _lobe_terms(setup, scatterers, channel, None, detector_samples(grid), lobe):
+        weights = scatterers.amplitude * term.sources
+        result = _summed(channel, path, scatterers.position, weights, grid, *how)
+        field, error = result.field.reshape(grid.shape), result.numerical_error
+        if not clear:
+            field, share, shared = _shadowed_field(setup, channel, path, scatterers.position, weights, grid, field)
+            error = float(np.hypot(error, shared))
+        values = _added(values, _with_lobe(field, term, grid))
+        results.append((result.how, error))
+    stages = _sums(("the detector",), results, began, share=share)
+    return _channel_field(channel, values, stages)
+
+
+def _on_first_opening(
+    setup: Setup, channel: Channel, rim: Rim, path, scatterers: Scatterers, nodes: PlanePoints, tolerance: float,
+    lobe: Lobe | None,
+) -> tuple[np.ndarray, list[tuple[How, float]]]:  # fmt: skip
+    """The field (n,) at the nodes of the first opening, and how each sum was done with its error."""
+    options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
+    how = wavelength, options.method, tolerance
+    sources, values, results = scatterers.position, None, []
+    shadowed = has_shadow(channel, rim, sources, setup.frame.axes)
+    for term in _lobe_terms(setup, scatterers, channel, rim, opening_samples(rim.plane), lobe):
+        weights = scatterers.amplitude * term.sources
+        result = _summed(channel, path, sources, weights, nodes, *how)
+        field, error = result.field, result.numerical_error
+        if shadowed:
+            field, shared = _with_shadows_on(nodes, channel, rim, path, sources, weights, field, *how)
+            error = float(np.hypot(error, shared))
+        values = _added(values, _with_lobe(field, term, nodes))
+        results.append((result.how, error))
+    return values, results
+
+
+def _lobe_terms(
+    setup: Setup, scatterers: Scatterers, channel: Channel, rim: Rim | None, samples: np.ndarray, lobe: Lobe | None
+) -> tuple[LobeTerm, ...]:
+    """The scatterers' radiation on the first leg of a channel, to an opening or (None) to the detector."""
+    if lobe is None:
+        return EVEN
+
+    def launch(points: np.ndarray, places: np.ndarray) -> np.ndarray:
+        if not channel.leg(0):
+            return places[None] - points[:, None]
+        end = detector_plane(channel.grid) if rim is None else rim.end
+        sources, ends = np.repeat(points, len(places), axis=0), np.tile(places, (len(points), 1))
+        return aim(Sequence((*channel.leg(0), end)), sources, ends).launch.reshape(len(points), len(places), 3)
+
+    return lobe.terms(setup, scatterers, launch, samples, setup.assembly.options.tolerance)
+
+
+def _with_lobe(field: np.ndarray, term: LobeTerm, places: PlaneGrid | PlanePoints) -> np.ndarray:
+    return field if term is EVEN[0] else field * term.towards(places.points()).reshape(field.shape)
+
+
+def _added(total: np.ndarray | None, field: np.ndarray) -> np.ndarray:
+    return field if total is None else total + field
+
+
+def _sums(
+    ends: tuple[str, ...], results: list[tuple[How, float]], began: float, nodes: int | None = None,
+    share: float | None = None,
+) -> list[Stage]:  # fmt: skip
+    """Stages of the sums that ended at an opening or the detector; the time is their whole's, on the first."""
+    seconds = time.perf_counter() - began
+    return [
+        Stage(SUM, ends, how=how, nodes=nodes, share=share, error=error, seconds=seconds if number == 0 else None)
+        for number, (how, error) in enumerate(results)
+    ]
+
+
+def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage]) -> ChannelField:
+    error = float(np.sqrt(np.sum([stage.error**2 for stage in stages]) + channel.left_out**2))
+    factor = amplitude_of(channel.interactions)
+    values = values if factor == 1.0 else factor * values
+    return ChannelField(values, tuple(replace(stage, way=channel.route.label) for stage in stages), error)
 
 
 def _summed(channel: Channel, path, *arguments) -> SumResult:
     """The coherent sum; where a traced path finds no ray, SceneError that says on which way and what to do."""
     try:
         return coherent_sum(path, *arguments)
-    except ValueError as error:
+    except InputError as error:
         if not isinstance(path, TracedLeg):
             raise
         raise SceneError(
@@ -119,27 +202,33 @@ def _summed(channel: Channel, path, *arguments) -> SumResult:
 
 
 def ray_channel(
-    assembly: Assembly, frame: Frame, scatterers: Scatterers, channel: Channel, grid: PlaneGrid
-) -> ChannelField:
-    """The field by the paper's own method: fans of rays, their paths interpolated on the pixels."""
+    setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, lobe: Lobe | None = None
+) -> tuple[ChannelField, list[str]]:
+    """The field by the paper's own method, fans of rays whose paths are interpolated on the pixels; and warnings."""
     sequence = Sequence(channel.interactions) if channel.interactions else None
-    rays = assembly.options.rays_per_source
-    sources, weights = scatterers.position, scatterers.amplitude
-    result = ray_field(sequence, grid, sources, weights, assembly.beam.wavelength, rays)
-    values = result.field
-    if shapes_beside_way(assembly, channel, extremes(sources, frame.axes)):
-        values, *_ = shadowed_sum(
-            sources,
-            lambda places, only: lit_pixels(assembly, channel, places, grid, only, rims=False),
-            lambda group, seen: ray_field(
-                sequence, grid, sources[group], weights[group], assembly.beam.wavelength, rays
-            ).field[seen],
-            values,
-            SHADOWS_ON_DETECTOR,
-        )
-    values = values * _lobe(assembly, frame, assembly.spot_at(frame)[0], channel, None, grid)
-    line = f"rays: {rays} a source, {result.rays_traced} in all, reach {result.covered:.1%} of the pixels"
-    return ChannelField(values, (line, *result.warnings), math.nan)
+    rays, wavelength, began = setup.assembly.options.rays_per_source, setup.assembly.beam.wavelength, time.perf_counter()
+    sources, values, traced, warnings = scatterers.position, None, 0, []
+    beside = shapes_beside_way(setup, channel, extremes(sources, setup.frame.axes))
+    for term in _lobe_terms(setup, scatterers, channel, None, detector_samples(grid), lobe):
+        weights = scatterers.amplitude * term.sources
+        result = ray_field(sequence, grid, sources, weights, wavelength, rays)
+        field = result.field
+        if beside:
+            field, *_ = shadowed_sum(
+                sources,
+                lambda places, only: lit_pixels(setup, channel, places, grid, only, rims=False),
+                lambda group, seen, weights=weights: ray_field(
+                    sequence, grid, sources[group], weights[group], wavelength, rays
+                ).field[seen],
+                field,
+                SHADOWS_ON_DETECTOR,
+            )
+        values = _added(values, _with_lobe(field, term, grid))
+        traced += result.rays_traced
+        warnings += [line for line in result.warnings if line not in warnings]
+    seconds = time.perf_counter() - began
+    stage = Stage(RAYS, way=channel.route.label, count=rays, rays=traced, share=result.covered, seconds=seconds)
+    return ChannelField(amplitude_of(channel.interactions) * values, (stage,), math.nan), warnings
 
 
 def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):
@@ -154,47 +243,14 @@ def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: 
 
 
 def _nodes(
-    channel: Channel,
-    number: int,
-    rim: Rim,
-    sources: np.ndarray,
-    targets: np.ndarray,
-    wavelength: float,
+    channel: Channel, number: int, rim: Rim, sources: np.ndarray, targets: np.ndarray, wavelength: float,
     tolerance: float,
-) -> tuple[PlanePoints, np.ndarray]:
+) -> tuple[PlanePoints, np.ndarray]:  # fmt: skip
     """Nodes and areas on an opening that resolve the phase of all light from sources to targets over it."""
-    samples = opening_samples(rim.plane)
-    is_last = number + 1 == len(channel.openings)
-    end = detector_plane(channel.grid) if is_last else channel.openings[number + 1].end
-    before, after = Sequence((*channel.leg(number), rim.end)), Sequence((*channel.leg(number + 1), end))
-    coming = aim(before, np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0)).arrival
-    going = aim(after, np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1))).launch
-    tangents = rim.plane.frame.axes[:, :2]
-    k = 2 * np.pi * rim.index / wavelength
-    coming = k * (coming @ tangents).reshape(len(samples), -1, 1, 2)
-    going = k * (going @ tangents).reshape(len(samples), 1, -1, 2)
-    gradient = (coming - going).reshape(len(samples), -1, 2)
-    if not np.isfinite(gradient).any():
-        raise ValueError("no ray leads over it from the spot to the detector")
-    outline = rim.plane.outline
-    if not isinstance(outline, Circle):
-        bound = _GRADIENT_SAFETY * np.nanmax(np.abs(gradient), axis=(0, 1))
-        return opening_nodes(outline, rim.plane.frame, (float(bound[0]), float(bound[1])), tolerance)
-    local = rim.plane.frame.to_local(samples)[:, :2]
-    radius = np.hypot(*local.T)
-    length = np.nanmax(np.hypot(gradient[..., 0], gradient[..., 1]), axis=1)
-    around = np.stack([-local[:, 1], local[:, 0]], axis=1) / np.maximum(radius, 1e-300)[:, None]
-    azimuthal = np.nanmax(np.abs(np.einsum("snk,sk->sn", gradient, around)), axis=1)
-    tilt = max(float(length[radius == 0].max()), float(azimuthal.max()))
-    largest = float(length.max())
-    grows_evenly = np.all(length <= (tilt + (largest - tilt) * radius / outline.radius) * _GRADIENT_SAFETY + 1e-9)
-    return opening_nodes(
-        outline,
-        rim.plane.frame,
-        _GRADIENT_SAFETY * largest,
-        tolerance,
-        _GRADIENT_SAFETY * tilt if grows_evenly else None,
-    )
+    before = channel.openings[number - 1] if number > 0 else None
+    after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
+    gradient = phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY)
+    return opening_nodes(rim.plane.outline, rim.plane.frame, gradient.bound, tolerance, gradient.tilt)
 
 
 def _next_targets(channel: Channel, number: int, grid: PlaneGrid) -> np.ndarray:
@@ -234,30 +290,31 @@ def _with_shadows_on(
 
 
 def _shadowed_field(
-    assembly: Assembly, channel: Channel, path, sources: np.ndarray, weights: np.ndarray, grid: PlaneGrid
-) -> tuple[np.ndarray, str, float]:
-    """Geometric field with all shadows, each scatterer's (or patch of the spot's) at its own place."""
-    how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance
-    result = _summed(channel, path, sources, weights, grid, *how)
+    setup: Setup, channel: Channel, path, sources: np.ndarray, weights: np.ndarray, grid: PlaneGrid, whole: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """Geometric field with all shadows, each scatterer's (or patch of the spot's) at its own place.
+
+    whole: (rows, columns) the field without them. Returns the share of pixels in shadow and the error of sharing, too.
+    """
+    how = setup.assembly.beam.wavelength, setup.assembly.options.method, setup.assembly.options.tolerance
     pixels = grid.points()
 
     def sum_over(group: np.ndarray, seen: np.ndarray) -> np.ndarray:
         if isinstance(path, FreeSpace) and len(group) * np.count_nonzero(seen) < _FEW_PAIRS:
-            return reference_sum(path, sources[group], weights[group], pixels[seen.ravel()], assembly.beam.wavelength)
+            return reference_sum(
+                path, sources[group], weights[group], pixels[seen.ravel()], setup.assembly.beam.wavelength
+            )
         rows, columns = np.nonzero(seen)
         places = PlanePoints(grid.origin, grid.u, grid.v, grid.pitch * columns, grid.pitch * rows)
         return _summed(channel, path, sources[group], weights[group], places, *how).field
 
-    whole = result.field.reshape(grid.shape)
-    field, share, error = shadowed_sum(
+    return shadowed_sum(
         sources,
-        lambda places, only: lit_pixels(assembly, channel, places, grid, only),
+        lambda places, only: lit_pixels(setup, channel, places, grid, only),
         sum_over,
         whole,
         SHADOWS_ON_DETECTOR,
     )
-    line = f"{result.plan}; {share:.1%} of the pixels in full or partial shadow"
-    return field, line, float(np.hypot(result.numerical_error, error))
 
 
 def _require_dark(channel: Channel, values: np.ndarray) -> None:
@@ -271,22 +328,3 @@ def _require_dark(channel: Channel, values: np.ndarray) -> None:
             "element wider, move it out of the light, or the detector smaller"
         )
 
-
-def _lobe(
-    assembly: Assembly,
-    frame: Frame,
-    middle: np.ndarray,
-    channel: Channel,
-    rim: Rim | None,
-    places: PlaneGrid | PlanePoints,
-) -> np.ndarray | float:
-    """Amplitude of the target's radiation along the rays from the spot's middle to places, 1.0 for even radiation."""
-    if not assembly.target.lobe:
-        return 1.0
-    points = places.points()
-    towards = points - middle
-    if channel.leg(0):
-        end = detector_plane(channel.grid) if rim is None else rim.end
-        towards = aim(Sequence((*channel.leg(0), end)), np.broadcast_to(middle, points.shape), points).launch
-    amplitude = lobe_towards(assembly, frame, towards)
-    return amplitude.reshape(places.shape) if isinstance(places, PlaneGrid) else amplitude

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from .rotation import rotation_matrix
 
 DEGREES_OF_FREEDOM = ("x", "y", "z", "rx", "ry", "rz")
@@ -41,7 +42,7 @@ class Pose:
             value = getattr(self, name)
             if not abs(value) <= FARTHEST:
                 unit = "deg" if is_rotation(name) else "mm"
-                raise ValueError(
+                raise InputError(
                     f"pose {name} = {value}: must be a finite number of {unit}, at most {FARTHEST:g} in size"
                 )
 
@@ -53,15 +54,15 @@ class Pose:
             name, _, value = item.partition("=")
             name = name.strip()
             if name not in DEGREES_OF_FREEDOM:
-                raise ValueError(
+                raise InputError(
                     f"pose {text!r}: unknown degree of freedom {name!r}, must be one of {', '.join(DEGREES_OF_FREEDOM)}"
                 )
             if name in values:
-                raise ValueError(f"pose {text!r}: {name} is given twice")
+                raise InputError(f"pose {text!r}: {name} is given twice")
             try:
                 values[name] = float(value)
             except ValueError:
-                raise ValueError(
+                raise InputError(
                     f"pose {item!r}: {value!r} is not a number, write for example x=0.02,ry=0.01"
                 ) from None
         return cls(**values)

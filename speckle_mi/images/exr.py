@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import json
 import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
 import OpenEXR
@@ -15,6 +11,7 @@ import numpy as np
 
 from ..machine.files import replacing
 from ..machine.memory import excess
+from .exr_layout import damage
 from .colours import LUMINANCE, luminance_weights
 from .field_image import FieldImage, FieldImageError
 from .pages import page_number
@@ -52,6 +49,7 @@ def write_field(path: str | os.PathLike, image: FieldImage, layers: dict[str, np
 def read_field(path: str | os.PathLike, channel: str | None = None, page: int | None = None) -> FieldImage:
     """Reads a field image. Raises FieldImageError with one line that says what is wrong with the file.
 
+    Of a damaged file of compressed pixels, which ours are not, OpenEXR itself prints more to stderr.
     channel: takes this channel for the intensity, or the colours of this layer; page: part of a file of several,
     from 1. The image lies where the header's data window puts it on the display window.
     """
@@ -61,8 +59,7 @@ def read_field(path: str | os.PathLike, channel: str | None = None, page: int | 
         raise FieldImageError(f"{path}: {what}, must be an image")
     if not is_exr(path):
         raise FieldImageError(f"{path}: not an OpenEXR file")
-    with _library_muted():
-        channels, attributes = _read(path, page)
+    channels, attributes = _read(path, page)
     complex_field = None
     if channel is None and "E.re" in channels and "E.im" in channels:
         complex_field = channels["E.re"].astype(np.complex64)
@@ -127,18 +124,19 @@ def read_header(path: str | os.PathLike) -> dict:
     path = Path(path)
     if not path.is_file() or not is_exr(path):
         raise FieldImageError(f"{path}: not an OpenEXR file")
-    with _library_muted():
-        try:
-            with OpenEXR.File(str(path), header_only=True) as file:
-                attributes = dict(file.header())
-        except Exception as error:
-            raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            attributes = dict(file.header())
+    except Exception as error:
+        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
     return _header(attributes)
 
 
 def _read(path: Path, page: int | None) -> tuple[dict[str, np.ndarray], dict]:
     """Pixels of every channel of one part, and the attributes of its header."""
     part = _check_size(path, page)
+    if what := damage(path):
+        raise FieldImageError(f"{path}: cannot be read, {what}")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             channels = {name: channel.pixels for name, channel in file.channels(part).items()}
@@ -151,28 +149,6 @@ def _read(path: Path, page: int | None) -> tuple[dict[str, np.ndarray], dict]:
     shape = (bottom - top + 1, right - left + 1)
     # A subsampled channel (of a video's colours) is no image of this size.
     return {name: pixels for name, pixels in channels.items() if pixels.shape == shape}, attributes
-
-
-@contextmanager
-def _library_muted() -> Iterator[None]:
-    """Keeps OpenEXR's own messages, which it prints besides raising an error, from standard output and error."""
-    for stream in (sys.stdout, sys.stderr):
-        if stream is not None:
-            stream.flush()
-    kept = [(number, os.dup(number)) for number in (1, 2)]
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    try:
-        for number, _ in kept:
-            os.dup2(nowhere, number)
-        with redirect_stdout(None):  # its Python side prints too
-            yield
-    finally:
-        if sys.platform != "win32":
-            ctypes.CDLL(None).fflush(None)  # what the library has written but not yet sent
-        for number, copy in kept:
-            os.dup2(copy, number)
-            os.close(copy)
-        os.close(nowhere)
 
 
 def _check_size(path: Path, page: int | None) -> int:

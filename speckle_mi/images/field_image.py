@@ -6,8 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..errors import InputError
 
-class FieldImageError(ValueError):
+
+class FieldImageError(InputError):
     """A file that is not a readable field image; the message says why."""
 
 

@@ -6,14 +6,16 @@ from types import ModuleType
 
 import mitsuba as mi
 
+from ..errors import InputError
+
 DEFAULT_VARIANT = "llvm_ad_mono"
 
 
 def set_variant(name: str = DEFAULT_VARIANT) -> None:
-    """Activates a Mitsuba variant. Raises ValueError for one that does not exist or cannot be used here."""
+    """Activates a Mitsuba variant. Raises InputError for one that does not exist or cannot be used here."""
     usable = [variant for variant in mi.variants() if is_usable(variant)]
     if name not in usable:
-        raise ValueError(f"variant {name!r}: must be one of {', '.join(usable)}")
+        raise InputError(f"variant {name!r}: must be one of {', '.join(usable)}")
     if name.startswith("llvm"):
         from . import llvm
 
@@ -23,7 +25,7 @@ def set_variant(name: str = DEFAULT_VARIANT) -> None:
             mi.set_variant(name)
         except ImportError:
             there = ", ".join(variant for variant in usable if not variant.startswith("cuda"))
-            raise ValueError(f"variant {name!r}: finds no GPU with a driver here, must be one of {there}") from None
+            raise InputError(f"variant {name!r}: finds no GPU with a driver here, must be one of {there}") from None
 
 
 def is_usable(variant: str) -> bool:

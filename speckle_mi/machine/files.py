@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import os
-import secrets
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,31 +14,39 @@ from pathlib import Path
 import numpy as np
 
 from . import interrupt
+from .fragments import fragment_name, remove_abandoned
+
+from ..errors import InputError
 
 
 def require_output(path: str | os.PathLike, suffix: str = "") -> None:
-    """Raises OSError when no file can be written at ``path``, ValueError when it ends other than in ``suffix``.
+    """Raises OSError when no file can be written at ``path``, InputError when it ends other than in ``suffix``.
 
-    Called before anything is computed for it.
+    Called before anything is computed for it; fragments in the folder whose writers are no more are removed.
     """
     require_place(path)
     if not str(path).lower().endswith(suffix):
-        raise ValueError(f"{path}: must be the name of a {suffix} file")
-    _require_writable(Path(os.path.realpath(path)).parent)
+        raise InputError(f"{path}: must be the name of a {suffix} file")
+    folder = Path(os.path.realpath(path)).parent
+    _require_writable(folder)
+    remove_abandoned(folder)
 
 
 def require_distinct(**paths: str | None) -> None:
-    """Raises ValueError where two of the files that a command reads or writes, by what they are to it, are one."""
+    """Raises InputError where two of the files that a command reads or writes, by what they are to it, are one."""
     given = [(what, path) for what, path in paths.items() if path]
     for (first, one), (second, other) in combinations(given, 2):
         if os.path.realpath(one) == os.path.realpath(other):
-            raise ValueError(f"{one}: is given as {first} and as {second}, must be two files")
+            raise InputError(f"{one}: is given as {first} and as {second}, must be two files")
 
 
 def require_folder(path: str | os.PathLike) -> Path:
-    """The folder for results, still to be made or there; OSError, ValueError where it cannot be or be written to."""
+    """The folder for results, still to be made or there; OSError, InputError where it cannot be or be written to.
+
+    Fragments in it whose writers are no more are removed.
+    """
     if not os.fspath(path):
-        raise ValueError("--out '': must be the name of a folder")
+        raise InputError("--out '': must be the name of a folder")
     folder = Path(path)
     if folder.exists() and not folder.is_dir():
         raise NotADirectoryError(f"{folder}: is a file, must be a folder or a new name")
@@ -47,6 +54,7 @@ def require_folder(path: str | os.PathLike) -> Path:
     if not there.is_dir():
         raise NotADirectoryError(f"{folder}: lies below {str(there)!r}, which is no folder")
     _require_writable(there)
+    remove_abandoned(folder)
     return folder
 
 
@@ -60,9 +68,9 @@ def _require_writable(folder: Path) -> None:
 
 
 def require_place(path: str | os.PathLike) -> None:
-    """Raises OSError, ValueError where ``path`` cannot be the name of a file."""
+    """Raises OSError, InputError where ``path`` cannot be the name of a file."""
     if not os.fspath(path):
-        raise ValueError("'': must be the name of a file")
+        raise InputError("'': must be the name of a file")
     path = Path(path)
     folder = path.parent
     if not folder.is_dir():
@@ -76,9 +84,9 @@ def require_place(path: str | os.PathLike) -> None:
 
 
 def refuse_other_settings(path: str | os.PathLike, held: object, wanted: object, force: bool) -> None:
-    """Raises ValueError where ``path`` exists and holds other settings than those ``wanted`` now, unless forced."""
+    """Raises InputError where ``path`` exists and holds other settings than those ``wanted`` now, unless forced."""
     if Path(path).exists() and held != wanted and not force:
-        raise ValueError(f"{path}: holds results of other settings, give another name or --force to overwrite them")
+        raise InputError(f"{path}: holds results of other settings, give another name or --force to overwrite them")
 
 
 def identity_in(path: str | os.PathLike) -> object:
@@ -95,7 +103,7 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
     require_place(path)
     path = Path(os.path.realpath(path))  # a link stays, and what it points to is replaced
     # The user's mask applies, as to any other file: results may be read by whom the user lets.
-    temporary = path.parent / f".{path.stem[:100]}-{secrets.token_hex(4)}{path.suffix}"
+    temporary = path.parent / fragment_name(path.stem, path.suffix)
     try:
         with interrupt.begins_file:
             interrupt.fragments.add(str(temporary))

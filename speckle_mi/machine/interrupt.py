@@ -26,40 +26,35 @@ begins_file = threading.Lock()
 """Held while a fragment is begun; for good once the process ends, so that no other thread begins a new one."""
 
 _keepers: list[Callable[[], None]] = []
-_listening: list[int] = []
 
 
-def is_command(arguments: list[str], original: list[str]) -> bool:
-    """Whether Python is about to run one of the package's commands, by ``sys.argv`` and ``sys.orig_argv`` then."""
-    return arguments[:1] == ["-m"] and any(a.removeprefix("-m").startswith("speckle_mi.") for a in original)
+@contextlib.contextmanager
+def answered(afterwards_ignored: bool = False) -> Iterator[None]:
+    """Inside, Ctrl-C and SIGTERM end the process as a command ends; afterwards they do what they did before.
 
+    afterwards_ignored: instead, nothing: once the process's own command is done, there is nothing to interrupt but
+        the tidying up of the interpreter.
 
-def listen() -> bool:
-    """Answers interrupts from now on; False where that is so already."""
-    if _listening:
-        return False
+    Changes nothing outside the main thread, where Python lets nobody answer signals.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
-    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
-    for number in SIGNALS:
-        signal.signal(number, _nothing)  # with any function of Python's, the number of a signal arrives at the pipe
-    _listening.append(writer)
+    wakened = signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    # With any function of Python's, the number of a signal arrives at the pipe.
+    before = {number: signal.signal(number, _nothing) for number in SIGNALS}
     threading.Thread(target=_watch, args=(reader,), name="interrupt", daemon=True).start()
-    return True
-
-
-def stop_listening() -> None:
-    """Undoes :func:`listen`."""
-    signal.set_wakeup_fd(-1)
-    for number in SIGNALS:
-        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
-    os.close(_listening.pop())  # the thread reads the end
-
-
-def ignore() -> None:
-    """Once a command is done there is nothing to interrupt but the tidying up of the interpreter."""
-    for number in SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            if afterwards_ignored:
+                handler = signal.SIG_IGN
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
+        signal.set_wakeup_fd(wakened)
+        os.close(writer)  # the thread reads the end
 
 
 @contextlib.contextmanager
@@ -81,7 +76,10 @@ def scratch_folder() -> Iterator[Path]:
     """A folder that vanishes with the block, or with the process."""
     import tempfile
 
-    with tempfile.TemporaryDirectory(prefix="speckle_mi-") as name:
+    from .fragments import fragment_name, remove_abandoned
+
+    remove_abandoned(tempfile.gettempdir())
+    with tempfile.TemporaryDirectory(prefix=f"{fragment_name('scratch')}-") as name:
         fragments.add(name)
         try:
             yield Path(name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import os
 import platform
 
 from ..version import __version__
@@ -28,7 +27,7 @@ def system_information() -> dict[str, str]:
         "python": platform.python_version(),
         **{name: _version(name) for name in _PACKAGES},
         "LLVM": found,
-        "LLVM library": os.environ.get("DRJIT_LIBLLVM_PATH", "found by Dr.Jit"),
+        "LLVM library": llvm.loaded_library() or "unknown",
         "variants": ", ".join(filter(is_usable, mi.variants())),
         "GPU": "yes" if _has_cuda() else "no",
         "cores": str(usable_cores()),

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from ..errors import InputError
 from .correlator import Correlator
 from .deformation import FITS, Deformation
 from .light import middle
@@ -34,7 +35,7 @@ class Comparison:
         offset: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         if fit not in FITS:
-            raise ValueError(f"fit = {fit}: must be one of {', '.join(FITS)}")
+            raise InputError(f"fit = {fit}: must be one of {', '.join(FITS)}")
         self.correlator = Correlator(reference, window, mask=mask, smoothing=smoothing)
         self.um = math.nan if pitch is None else 1e3 * pitch
         self.fit = fit
@@ -106,17 +107,17 @@ def _deformed(fit: str, found: Deformation | None) -> dict:
 def compare(reference: np.ndarray, moved: np.ndarray, pitch: float | None, window: int | None = None) -> dict:
     """What the command prints: shift, correlation, centres of gravity and statistics of two images.
 
-    pitch: [mm], None if unknown (lengths in um are then NaN). Raises ValueError as `Correlator` does.
+    pitch: [mm], None if unknown (lengths in um are then NaN). Raises InputError as `Correlator` does.
     """
     return Comparison(reference, pitch, window).with_moved(moved)
 
 
 def common_pitch(*headers: dict) -> float | None:
-    """Pixel pitch [mm] in the headers of field images, None if none has one. Raises ValueError if they differ."""
+    """Pixel pitch [mm] in the headers of field images, None if none has one. Raises InputError if they differ."""
     found = [header["pixel_pitch_mm"] for header in headers if "pixel_pitch_mm" in header]
     for pitch in found:
         if not isinstance(pitch, (int, float)) or not 0.0 < pitch < math.inf:
-            raise ValueError(f"pixel_pitch_mm = {pitch!r} in an image's header: must be a positive number")
+            raise InputError(f"pixel_pitch_mm = {pitch!r} in an image's header: must be a positive number")
     if found and not math.isclose(min(found), max(found), rel_tol=1e-6):
-        raise ValueError(f"the images' pixel pitches differ: {min(found):g} and {max(found):g} mm")
+        raise InputError(f"the images' pixel pitches differ: {min(found):g} and {max(found):g} mm")
     return float(found[0]) if found else None

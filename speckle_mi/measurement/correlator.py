@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..errors import InputError
 from .covariance import as_image, deviation, in_range
 from .defects import Defects, Usual, defects_of, mosaic_gains, repaired, without_mosaic
 from .deformation import Deformation
@@ -65,7 +66,7 @@ class Correlator:
     shorter side of the image; without it 256, clipped on both sides alike and shrunk to where the light is: an edge of
     the light stands still when the pattern moves, and would hold the peak back. mask: (rows, columns) bool, False for
     pixels that say nothing in any image. smoothing: structure larger than about this [px] is taken off; without it,
-    light that is uneven. Raises ValueError for pixels that are not finite, for a window below 4 or larger than the
+    light that is uneven. Raises InputError for pixels that are not finite, for a window below 4 or larger than the
     image and for a mask of another shape or without a valid pixel.
     """
 
@@ -79,9 +80,9 @@ class Correlator:
     ) -> None:
         shape = np.shape(reference)
         if window is not None and len(shape) == 2 and not 4 <= window <= max(shape):
-            raise ValueError(f"window = {window}: must be 4 to {max(shape)} px, the image has {shape[1]} x {shape[0]} pixels")
+            raise InputError(f"window = {window}: must be 4 to {max(shape)} px, the image has {shape[1]} x {shape[0]} pixels")
         if smoothing is not None and not 1.0 <= smoothing < math.inf:
-            raise ValueError(f"smoothing = {smoothing:g} px: must be at least 1 px")
+            raise InputError(f"smoothing = {smoothing:g} px: must be at least 1 px")
         self._middle = None
         side = max(MIDDLE, 4 * (window or DEFAULT_WINDOW))
         if len(shape) == 2 and min(shape) > 1 and max(shape) > side:
@@ -117,10 +118,10 @@ class Correlator:
     def shift(self, moved: np.ndarray) -> Shift:
         """Shift of ``moved`` (rows, columns) from the reference.
 
-        Raises ValueError if its shape is not the reference's or its pixels are not finite.
+        Raises InputError if its shape is not the reference's or its pixels are not finite.
         """
         if np.shape(moved) != self.shape and np.ndim(moved) == 2:
-            raise ValueError(
+            raise InputError(
                 f"moved image: shape {np.shape(moved)} differs from the reference image's {tuple(self.shape)}"
             )
         if self._middle is not None:
@@ -182,9 +183,9 @@ def _checked_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray
         return None
     mask = np.asarray(mask, dtype=bool)
     if mask.shape != tuple(shape):
-        raise ValueError(f"mask: shape {mask.shape} differs from the images' {tuple(shape)}")
+        raise InputError(f"mask: shape {mask.shape} differs from the images' {tuple(shape)}")
     if not mask.any():
-        raise ValueError("mask: leaves no pixel, must be true (not 0) where the images are to be looked at")
+        raise InputError("mask: leaves no pixel, must be true (not 0) where the images are to be looked at")
     return None if mask.all() else mask
 
 

@@ -11,6 +11,9 @@ import math
 import numpy as np
 from scipy import fft
 
+from ..errors import InputError
+from ..machine.cores import usable_cores
+
 FLAT = 1e-6
 """rms deviation, relative to the largest pixel, below which an image is constant: float32 rounding is 3e-8."""
 
@@ -27,7 +30,7 @@ LEAST_SEEN = 0.05
 def as_image(image: np.ndarray, name: str = "image") -> np.ndarray:
     """``image`` as a float64 (rows, columns) array of finite pixels.
 
-    Raises ValueError, naming the image, if it is not two-dimensional, empty, complex or holds NaN or infinity.
+    Raises InputError, naming the image, if it is not two-dimensional, empty, complex or holds NaN or infinity.
     """
     return checked_image(image, name).astype(np.float64)
 
@@ -36,15 +39,15 @@ def checked_image(image: np.ndarray, name: str = "image") -> np.ndarray:
     """``image`` as it is, once it has passed the checks of `as_image`."""
     array = np.asarray(image)
     if array.ndim != 2 or array.size == 0:
-        raise ValueError(f"{name}: shape {array.shape} is not an image, must be (rows, columns)")
+        raise InputError(f"{name}: shape {array.shape} is not an image, must be (rows, columns)")
     if np.iscomplexobj(array):
-        raise ValueError(f"{name}: complex pixels, give the intensity abs(field)**2")
+        raise InputError(f"{name}: complex pixels, give the intensity abs(field)**2")
     # One sum instead of a test a pixel: any NaN or infinity survives it.
     if not np.isfinite(array.sum(dtype=np.float64)):
         bad = array.size - int(np.isfinite(array).sum())
         if bad:
-            raise ValueError(f"{name}: {bad} of {array.size} pixels are NaN or infinite, all must be finite")
-        raise ValueError(f"{name}: pixels up to {np.abs(array).max():.3g} overflow float64 sums, scale the image down")
+            raise InputError(f"{name}: {bad} of {array.size} pixels are NaN or infinite, all must be finite")
+        raise InputError(f"{name}: pixels up to {np.abs(array).max():.3g} overflow float64 sums, scale the image down")
     return array
 
 
@@ -72,7 +75,7 @@ def autocovariance(intensity: np.ndarray) -> np.ndarray:
     intensity: (rows, columns). Returns (2 rows - 1, 2 columns - 1), zero lag in the middle. Each lag is the mean
     over the pixels that overlap, so its expectation does not fall off with the lag (it is low by
     1/speckle_count everywhere, because the mean is the image's own). All NaN for a constant image.
-    Raises ValueError for pixels that are not finite.
+    Raises InputError for pixels that are not finite.
     """
     image = as_image(intensity, "intensity")
     rows, columns = image.shape
@@ -80,9 +83,9 @@ def autocovariance(intensity: np.ndarray) -> np.ndarray:
     if pattern is None:
         return np.full((2 * rows - 1, 2 * columns - 1), np.nan)
     padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in image.shape)
-    spectrum = fft.rfft2(pattern, padded, workers=2)
+    spectrum = fft.rfft2(pattern, padded, workers=usable_cores())
     power = spectrum.real**2 + spectrum.imag**2
-    sums = fft.fftshift(fft.irfft2(power, padded, workers=2))
+    sums = fft.fftshift(fft.irfft2(power, padded, workers=usable_cores()))
     middle_v, middle_u = padded[0] // 2, padded[1] // 2
     sums = sums[middle_v - rows + 1 : middle_v + rows, middle_u - columns + 1 : middle_u + columns]
     overlap_v = rows - np.abs(np.arange(1 - rows, rows))

@@ -47,7 +47,7 @@ class Sensitivity:
         return None if self.theory is None else self.value - self.theory
 
     def to_json(self) -> dict[str, float | int | str | None | list[float | None]]:
-        """Plain numbers; None where nothing was measured or no theory exists."""
+        """Plain numbers and what they rest on; None where nothing was measured or no theory exists."""
         return {
             "value": _plain(self.value),
             "ci95": [_plain(bound) for bound in self.ci95],
@@ -56,9 +56,9 @@ class Sensitivity:
             "scatter_um": _plain(self.scatter_um),
             "unit": self.unit,
             "basis": self.basis,
-            "note": self.note,
             "frames_used": self.frames_used,
             "frames_dropped": self.frames_dropped,
+            "note": self.note,
         }
 
 

@@ -29,7 +29,7 @@ LARGEST_PIECE = 1024
 def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
     """Centre of gravity (u, v) [px] of an intensity (rows, columns), relative to the image's middle.
 
-    NaN for an image without light. Raises ValueError for pixels that are not finite.
+    NaN for an image without light. Raises InputError for pixels that are not finite.
     """
     light = checked_image(image)
     columns_light, rows_light = (light.sum(axis=axis, dtype=np.float64) for axis in (0, 1))
@@ -87,7 +87,7 @@ def contrast(intensity: np.ndarray) -> float:
     """Speckle contrast: rms deviation over mean, 1 for fully developed polarised speckle (Goodman, ch. 3).
 
     intensity: (rows, columns). Under uneven light the local contrast. NaN for an image without light. Raises
-    ValueError for pixels that are not finite.
+    InputError for pixels that are not finite.
     """
     image = in_range(as_image(intensity, "intensity"))
     if not image.mean() > 0.0:
@@ -109,7 +109,7 @@ def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
     """Speckle size (u, v) [px]: full width at half maximum of the normalised intensity autocovariance.
 
     intensity: (rows, columns). NaN along an axis on which the width exceeds a quarter of the image (there a mere
-    slope of brightness would pass for a speckle) and for a constant image. Raises ValueError for pixels that are
+    slope of brightness would pass for a speckle) and for a constant image. Raises InputError for pixels that are
     not finite.
     """
     covariance = _speckle_covariance(intensity)
@@ -124,7 +124,7 @@ def speckle_count(intensity: np.ndarray) -> float:
 
     intensity: (rows, columns). The sum is taken over the central lobe, where the covariance is more than chance.
     NaN for a constant image or where the lobe reaches the image's edge, at least 1 otherwise.
-    Raises ValueError for pixels that are not finite.
+    Raises InputError for pixels that are not finite.
     """
     covariance = autocovariance(intensity)
     rows, columns = (covariance.shape[0] + 1) // 2, (covariance.shape[1] + 1) // 2

@@ -199,8 +199,8 @@ def _preferred(status: np.ndarray, nearness: np.ndarray, usable: np.ndarray) -> 
 
 
 def _to_first_vertex(sequence: Sequence, source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Unit directions (3, n) from the sources to the first vertex, or to the target from a source that lies there."""
-    axis = sequence.interactions[0].surface.frame.origin[:, None] - source
+    """Unit directions (3, n) from the sources to where the first surface has its light, else to the target."""
+    axis = sequence.interactions[0].place[:, None] - source
     axis = np.where(np.any(axis != 0.0, axis=0), axis, target - source)
     return axis / np.sqrt(dot(axis, axis))
 

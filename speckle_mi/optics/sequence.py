@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -18,7 +20,10 @@ class Interaction:
 
     action: "refract" (Snell's law), "reflect" (mirror), "pass" (a place the light goes straight through: an aperture, a
     reference plane, the detector); index_before, index_after: refractive indices of the segments on its way in and out;
-    root: which crossing of the surface is meant, see ``Surface.intersect``.
+    root: which crossing of the surface is meant, see ``Surface.intersect``; amplitude: factor of the light's amplitude
+    here, the square root of the reflectance or transmittance; near: (3,) where on the surface its light is, in its own
+    frame [mm], None for its middle; slack: how far [mm] it may lie behind the one before, as where a stop cuts through the
+    curved face of a lens.
     Build with ``Interaction.refract``, ``.reflect``, ``.through``.
     """
 
@@ -27,6 +32,9 @@ class Interaction:
     index_before: float = 1.0
     index_after: float = 1.0
     root: Literal["vertex", "near", "far"] = "vertex"
+    amplitude: float = 1.0
+    near: np.ndarray | None = None
+    slack: float = 0.0
 
     def __post_init__(self) -> None:
         if self.action not in ("refract", "reflect", "pass"):
@@ -37,6 +45,8 @@ class Interaction:
             raise ValueError(
                 f"refractive indices {self.index_before}, {self.index_after}: must be positive (a mirror is 'reflect')"
             )
+        if not 0.0 <= self.amplitude < np.inf:
+            raise ValueError(f"amplitude factor {self.amplitude}: must be finite and not negative")
         if self.action != "refract" and self.index_before != self.index_after:
             raise ValueError(
                 f"{self.action} with indices {self.index_before}, {self.index_after}: "
@@ -47,20 +57,34 @@ class Interaction:
                 f"root {self.root!r} needs a closed surface: a sphere or spheroid (curvature not 0, conic > -1)"
             )
 
-    @classmethod
-    def refract(cls, surface: Surface, index_before: float, index_after: float, root: str = "vertex") -> Interaction:
-        """Refraction from ``index_before`` into ``index_after``."""
-        return cls(surface, "refract", index_before, index_after, root)
+    @property
+    def place(self) -> np.ndarray:
+        """(3,) where its light is, world [mm]."""
+        return self.surface.middle if self.near is None else self.surface.frame.to_world(self.near[None])[0]
 
     @classmethod
-    def reflect(cls, surface: Surface, index: float = 1.0, root: str = "vertex") -> Interaction:
+    def refract(
+        cls, surface: Surface, index_before: float, index_after: float, root: str = "vertex", amplitude: float = 1.0
+    ) -> Interaction:
+        """Refraction from ``index_before`` into ``index_after``."""
+        return cls(surface, "refract", index_before, index_after, root, amplitude)
+
+    @classmethod
+    def reflect(
+        cls, surface: Surface, index: float = 1.0, root: str = "vertex", amplitude: float = 1.0
+    ) -> Interaction:
         """Mirror inside a medium of ``index``. The mirror's own phase, the same for all rays, is left out."""
-        return cls(surface, "reflect", index, index, root)
+        return cls(surface, "reflect", index, index, root, amplitude)
 
     @classmethod
     def through(cls, surface: Surface, index: float = 1.0) -> Interaction:
         """A surface that changes nothing: an opening, a reference plane, the detector."""
         return cls(surface, "pass", index, index)
+
+
+def amplitude_of(interactions: Iterable[Interaction]) -> float:
+    """Factor of the light's amplitude over a way: the product of its interactions' own."""
+    return math.prod(interaction.amplitude for interaction in interactions)
 
 
 def detector_plane(grid: PlaneGrid) -> Interaction:
@@ -100,6 +124,11 @@ class Sequence:
     @property
     def size(self) -> int:
         return len(self.interactions)
+
+    @property
+    def amplitude(self) -> float:
+        """Factor of the light's amplitude over the whole sequence, see :func:`amplitude_of`."""
+        return amplitude_of(self.interactions)
 
     @property
     def last(self) -> Interaction:

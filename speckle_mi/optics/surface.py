@@ -15,7 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frames import Frame
-from ..geometry.outline import Circle, Rectangle
+from ..geometry.outline import Circle, OffsetCircle, Rectangle
+
+BEHIND_TOLERANCE = 1e-9
+"""A surface this far behind the ray's start [mm] still counts as met: a source may lie on it, rounded."""
 
 ORTHONORMAL_TOLERANCE = 1e-6
 """Axes further from orthonormal than this are a mistake; closer ones are rounding and are made exact."""
@@ -33,7 +36,7 @@ class Surface:
     frame: Frame
     curvature: float = 0.0
     conic: float = 0.0
-    outline: Circle | Rectangle | None = None
+    outline: Circle | OffsetCircle | Rectangle | None = None
 
     def __post_init__(self) -> None:
         axes = np.asarray(self.frame.axes, dtype=np.float64)
@@ -61,6 +64,14 @@ class Surface:
     def is_plane(self) -> bool:
         return self.curvature == 0.0
 
+    @property
+    def middle(self) -> np.ndarray:
+        """World point (3,) of the surface in the middle of its outline: the vertex, but for a part beside the axis."""
+        if self.outline is None:
+            return self.frame.origin
+        x, y = self.outline.centre
+        return self.frame.to_world(np.array([[x, y, self.sag(x * x + y * y)]]))[0]
+
     def sag(self, squared: np.ndarray) -> np.ndarray:
         """Height (n,) [mm] above the vertex plane at squared distances (n,) [mm^2] from the axis.
 
@@ -80,7 +91,8 @@ class Surface:
         """Length (n,) [mm] along local rays to the surface and the hit points (3, n), NaN where there are none.
 
         point, direction: (3, n), directions of unit length. root: which of the two crossings of the quadric,
-        "vertex": the one met on the sheet through the vertex, crossed in the direction the ray has along z;
+        "vertex": the one met on the sheet through the vertex, crossed in the direction the ray has along z, or, where
+        that one lies behind the ray, the other if it lies ahead (the wall of a deep bowl, met from inside going up);
         "near", "far": first and second crossing of a closed surface.
 
         With the ray written from its point closest to the vertex, a t^2 + 2 b t + f = 0, and
@@ -99,17 +111,56 @@ class Surface:
         b = (c * k * start[2] - 1.0) * cosine
         f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
         slope = np.sqrt(b * b - a * f)
-        if root == "vertex":
-            slope = np.where(cosine > 0.0, -slope, slope)
-        else:
-            slope = np.where((a > 0.0) == (root == "near"), -slope, slope)
-        t = np.where(b * slope >= 0.0, -f / (b + slope), (slope - b) / a)
-        if root == "vertex" and k != -1.0:
-            # Equator of the spheroid, or the gap between the hyperboloid's sheets: beyond it lies the other half.
-            beyond = (1.0 + k) * c * (start[2] + t * cosine) >= 1.0
-            t = np.where(beyond, np.nan, t)
+        if root != "vertex":
+            t = _crossing(a, b, f, np.where((a > 0.0) == (root == "near"), -slope, slope))
+            return foot + t, start + t * direction
+        slope = np.where(cosine > 0.0, -slope, slope)
+        t = self._on_sheet(_crossing(a, b, f, slope), start, direction)
+        behind = ~(foot + t >= -BEHIND_TOLERANCE)
+        if np.any(behind):
+            other = self._on_sheet(_crossing(a, b, f, -slope), start, direction)
+            t = np.where(behind & (foot + other >= -BEHIND_TOLERANCE), other, t)
         # From the near start, so that a source far away does not leave its rounding in the hit point.
         return foot + t, start + t * direction
+
+    def _on_sheet(self, t: np.ndarray, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Lengths t (n,) of crossings start + t direction, (3, n) local, NaN where one is not of the vertex's sheet.
+
+        Equator of the spheroid, or the gap between the hyperboloid's sheets: beyond it lies the other half.
+        """
+        if self.conic == -1.0:
+            return t
+        return np.where((1.0 + self.conic) * self.curvature * (start[2] + t * direction[2]) >= 1.0, np.nan, t)
+
+    def crossings(self, point: np.ndarray, direction: np.ndarray, closed: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Lengths (2, n) [mm] along local rays to both crossings, rising, and the places (2, 3, n); NaN where none is.
+
+        point, direction: (3, n), directions of unit length; lengths may be negative. closed: whether the whole quadric is
+        meant; else only its sheet through the vertex, inside the outline.
+        """
+        with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+            foot = -dot(point, direction)
+            start = point + foot * direction
+            c, k, cosine = self.curvature, self.conic, direction[2]
+            a = c * (1.0 + k * cosine * cosine)
+            b = (c * k * start[2] - 1.0) * cosine
+            f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
+            q = -(b + np.copysign(np.sqrt(b * b - a * f), b))
+            roots = np.stack([f / q, np.where(a == 0.0, np.nan, q / a)])
+            length = foot + np.sort(roots, axis=0)  # NaN comes last
+            hit = point[None] + length[:, None] * direction
+            if not closed:
+                beyond = (1.0 + k) * c * hit[:, 2] >= 1.0
+                outside = np.zeros_like(beyond)
+                if self.outline is not None:
+                    outside = np.array([np.any(self.outline.margins(x, y) < 0, axis=0) for x, y, _ in hit])
+                length = np.where(beyond | outside, np.nan, length)
+        return length, hit
+
+
+def _crossing(a: np.ndarray, b: np.ndarray, f: np.ndarray, slope: np.ndarray) -> np.ndarray:
+    """The root t (n,) of a t^2 + 2 b t + f = 0 at which a t + b is ``slope``, without cancellation."""
+    return np.where(b * slope >= 0.0, -f / (b + slope), (slope - b) / a)
 
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:

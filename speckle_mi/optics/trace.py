@@ -17,10 +17,7 @@ from enum import IntEnum
 import numpy as np
 
 from .sequence import Interaction, Sequence
-from .surface import dot
-
-BEHIND_TOLERANCE = 1e-9
-"""A surface this far behind the ray's start [mm] still counts as met: a source may lie on it, rounded."""
+from .surface import BEHIND_TOLERANCE, dot
 
 
 class RayStatus(IntEnum):
@@ -116,7 +113,7 @@ class Log:
             margins = outline.margins(x, y)
             self.margins.append(margins)
             self._note(np.any(margins < 0.0, axis=0), RayStatus.OUTSIDE_OUTLINE)
-        self._note(step.length < -BEHIND_TOLERANCE, RayStatus.BEHIND)
+        self._note(step.length < -max(BEHIND_TOLERANCE, step.interaction.slack), RayStatus.BEHIND)
         self._note(~np.isfinite(step.length), RayStatus.MISSED)
         if step.reflected_totally is not None:
             self._note(step.reflected_totally, RayStatus.TOTAL_INTERNAL_REFLECTION)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from .aim import AimedPaths, aim
 from .sequence import Sequence
 from .trace import RayStatus
@@ -25,7 +26,7 @@ class TracedPath:
 
         The field at D of a unit source at P is amplitude * exp(i k length). The amplitude holds the factor exp(-i pi/2)
         of every focal line on the way (phasor e^{+ikL}: Gouy's phase). Vignetting is not in it, see ``margins``.
-        Raises ValueError when a pair has no ray; reasons are counted in the message.
+        Raises InputError when a pair has no ray; reasons are counted in the message.
         """
         aimed = self._all_pairs(P, D)
         shape = (len(P), len(D))
@@ -34,7 +35,7 @@ class TracedPath:
     def margins(self, P: np.ndarray, D: np.ndarray) -> np.ndarray:
         """Smooth clearance (r, n, m) of the rims in ``sequence.rims``; the ray from P to D is free where all are > 0.
 
-        Raises ValueError when a pair has no ray.
+        Raises InputError when a pair has no ray.
         """
         return self._all_pairs(P, D).margins.reshape(-1, len(P), len(D))
 
@@ -43,14 +44,14 @@ class TracedPath:
         return self.paired(np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
 
     def paired(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
-        """The rays from P (n, 3) to D (n, 3), one each. Raises ValueError when a pair has no ray."""
+        """The rays from P (n, 3) to D (n, 3), one each. Raises InputError when a pair has no ray."""
         aimed = aim(self.sequence, P, D)
         if not aimed.converged.all():
             lost = aimed.status[~aimed.converged]
             reasons = ", ".join(
                 f"{(lost == code).sum()} {RayStatus(code).name.lower().replace('_', ' ')}" for code in np.unique(lost)
             )
-            raise ValueError(
+            raise InputError(
                 f"{lost.size} of {aimed.status.size} pairs of source and target have no ray through the optics: "
                 f"{reasons}"
             )
@@ -73,7 +74,7 @@ class TracedLeg:
     def __call__(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Length (n, m) [mm] and complex amplitude (n, m) from sources (n, 3) to targets (m, 3).
 
-        Raises ValueError where no ray connects a pair.
+        Raises InputError where no ray connects a pair.
         """
         aimed = self.traced.paired(np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1)))
         amplitude = aimed.complex_amplitude

@@ -15,8 +15,8 @@ from .surface import Surface
 def unfold(interactions: tuple[Interaction, ...], grid: PlaneGrid) -> tuple[tuple[Interaction, ...], PlaneGrid]:
     """The same paths without plane mirrors: interactions and detector behind each mirror are mirrored in it.
 
-    A mirror becomes an opening with the mirror's outline. Path lengths are unchanged, since reflection is an isometry;
-    axes behind an odd number of mirrors are left-handed. The mirrors' own phase is left out.
+    A mirror becomes an opening with the mirror's outline and factor of the amplitude. Path lengths are unchanged, since
+    reflection is an isometry; axes behind an odd number of mirrors are left-handed. The mirrors' own phase is left out.
     """
     turn, shift = np.eye(3), np.zeros(3)
     unfolded = []
@@ -25,7 +25,7 @@ def unfold(interactions: tuple[Interaction, ...], grid: PlaneGrid) -> tuple[tupl
         frame = Frame(turn @ surface.frame.origin + shift, turn @ surface.frame.axes)
         image = Surface(frame, surface.curvature, surface.conic, surface.outline)
         if interaction.action == "reflect" and surface.is_plane:
-            unfolded.append(Interaction.through(image, interaction.index_before))
+            unfolded.append(replace(interaction, surface=image, action="pass", root="vertex"))
             normal = frame.axes[:, 2]
             mirror = np.eye(3) - 2 * np.outer(normal, normal)
             turn, shift = mirror @ turn, mirror @ shift + 2 * (frame.origin @ normal) * normal

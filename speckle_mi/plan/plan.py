@@ -10,25 +10,35 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..geometry.frames import Frame
-from ..geometry.outline import Circle
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
-from ..optics.surface import Surface
-from ..optics.trace import RayStatus, trace
+from ..optics.trace import trace
 from ..optics.unfold import unfold
-from ..scene.assembly import Assembly
+from .setup import Setup
 from ..scene.errors import SceneError
+from .edges import SHARE, all_affordable, chosen_edges, limiting_rims
 from .routes import Route, find_routes, points_on
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
+from .stage import (
+    BESIDE,
+    CLEAR,
+    DIFFRACTED,
+    FREE_SPACE,
+    LEFT_OUT,
+    NO_WAY,
+    NOT_DIFFRACTED,
+    OTHER_WAY,
+    SHADOWS,
+    TRACED,
+    UNFOLDED,
+    WAY,
+    Stage,
+)
+from .strength import Strength, strength_of
 from .way import Channel, Rim, rims_of
 
-CLEAR_OF_EDGE = 25.0
-"""Fresnel parameter v of the nearest edge from which on it is not diffracted at: a straight edge's wave is then below
-1 %."""
-
-_CLEARANCES = (1.5, 3.0, 6.0, 12.0, CLEAR_OF_EDGE)
+_CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
 
 NEAR_CAUSTIC = 1e-3
@@ -37,7 +47,6 @@ NEAR_CAUSTIC = 1e-3
 _SAME_RAY = 1e-6
 """Angle [rad] up to which two rays to one place are the same."""
 
-_RIM_POINTS = 48
 _DETECTOR_SAMPLES = 9
 _INSIDE_RIM = 1 - 1e-6
 
@@ -47,35 +56,71 @@ _LIMITING_SHARE = 0.01
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done for a scene. channels: one a route; lines: in words; warnings: one sentence each."""
+    """What is done for a scene. channels: one a route; stages: in order; warnings: one sentence each."""
 
     channels: tuple[Channel, ...]
-    lines: tuple[str, ...]
+    stages: tuple[Stage, ...]
     warnings: tuple[str, ...] = ()
 
+    @property
+    def left_out(self) -> float:
+        """What ways that are left out amount to, relative to the field."""
+        errors = [stage.predicted_error for stage in self.stages if stage.kind == OTHER_WAY]
+        return float(np.sqrt(np.sum(np.square(errors))))
 
-def make_plan(assembly: Assembly, frame: Frame) -> Plan:
-    """The plan for a scene with its target at ``frame``.
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The stages in words."""
+        return tuple(map(str, self.stages))
+
+
+def make_plan(setup: Setup) -> Plan:
+    """The plan for a scene with its target at a pose.
 
     Raises SceneError where the field cannot be computed as asked: geometric light at a caustic, or no opening that
     limits the light in a system with a focus on the detector.
     """
-    if not assembly.elements:
-        free = Channel(Route((), (), 0), (), assembly.detector, (), (), ())
-        return Plan((free,), ("free space: nothing stands between target and detector, no ray is launched",))
-    arrivals = find_routes(assembly)
-    if not arrivals.routes:
-        blocker = _main_blocker(arrivals.stopped)
-        return Plan(
-            (), (f"no way: no light reaches the detector, {blocker}",), (f"no light reaches the detector: {blocker}",)
-        )
-    channels = tuple(_channel(assembly, frame, route) for route in arrivals.routes)
-    lines = [line for channel in channels for line in channel.lines]
-    if arrivals.in_area:
-        return Plan(channels, tuple(lines))
+    if not setup.assembly.elements:
+        free = Channel(Route((), (), 0), (), setup.assembly.detector, (), (), ())
+        return Plan((free,), (Stage(FREE_SPACE, reason="nothing stands between target and detector, no ray is launched"),))
+    spots = spot_samples(setup)
+    arrivals = find_routes(setup, spots)
     blocker = _main_blocker(arrivals.stopped)
-    lines.append("the geometric light passes beside the detector: only diffracted light can reach it")
-    return Plan(channels, tuple(lines), (f"no geometric light reaches the detector: {blocker}",))
+    if not arrivals.routes:
+        return Plan((), (Stage(NO_WAY, reason=blocker),), (f"no light reaches the detector: {blocker}",))
+    bare = [_bare(setup, route) for route in arrivals.routes]
+    strengths = [strength_of(setup, one.route, one.interactions, one.grid, spots) for one in bare]
+    lit = arrivals.in_area and any(strength.lit for strength in strengths)
+    kept, stages = _kept(setup, bare, strengths) if lit else (bare, [])
+    channels = tuple(_channel(setup, one) for one in kept)
+    stages = [*(stage for channel in channels for stage in channel.stages), *stages]
+    warnings = ()
+    if not lit:
+        stages.append(Stage(BESIDE))
+        warnings = (f"no geometric light reaches the detector: {blocker}",)
+    return Plan(channels, tuple(stages), warnings)
+
+
+def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:
+    """The ways that count beside those of straight light, and stages that say what the others amount to.
+
+    A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the detector,
+    where no diffraction is asked for, or where its integral is not affordable.
+    """
+    options = setup.assembly.options
+    straight = max(strength.amplitude for strength in strengths if strength.lit)
+    kept, stages = [], []
+    for channel, strength in zip(bare, strengths, strict=True):
+        share = strength.share * strength.amplitude / straight
+        if strength.lit:
+            kept.append(channel)
+        elif options.diffraction and options.method != "rays":
+            if share > SHARE * options.tolerance and all_affordable(setup, channel, spot_samples(setup)):
+                kept.append(channel)
+            else:
+                names = tuple(rim.name for rim in channel.rims if rim.is_screen)
+                stages.append(Stage(OTHER_WAY, names, way=channel.route.label, predicted_error=share))
+    return kept, stages
 
 
 def _main_blocker(stopped) -> str:
@@ -85,39 +130,48 @@ def _main_blocker(stopped) -> str:
     return f"most test rays end at {max(elements)[1]!r}"
 
 
-def _channel(assembly: Assembly, frame: Frame, route: Route) -> Channel:
-    interactions, grid = unfold(route.interactions, assembly.detector)
-    rims = rims_of(assembly.spot_at(frame)[0], route.names, interactions)
-    bare = Channel(route, interactions, grid, (), rims, ())
-    openings, reason = _openings(assembly, frame, bare)
-    lines = [f"way: {route.label}", *_mirror_line(route)]
+def _bare(setup: Setup, route: Route) -> Channel:
+    """A route with plane mirrors unfolded, before anything is decided."""
+    interactions, grid = unfold(route.interactions, setup.assembly.detector)
+    return Channel(route, interactions, grid, (), rims_of(setup.spot.point, route.names, interactions, grid.centre), ())
+
+
+def _channel(setup: Setup, bare: Channel) -> Channel:
+    route, interactions = bare.route, bare.interactions
+    openings, decisions = _openings(setup, bare)
+    stages = [Stage(WAY), *_unfolded(route)]
     traced = [name for name, i in zip(route.names, interactions) if i.action != "pass"]
     if traced:
-        lines.append(f"traced: path length and amplitude through {', '.join(dict.fromkeys(traced))}")
-    lines.append(reason)
-    channel = replace(bare, openings=openings, lines=tuple(lines))
+        stages.append(Stage(TRACED, tuple(dict.fromkeys(traced))))
+    stages += decisions
+    channel = replace(bare, openings=openings)
     if openings:
-        channel = replace(channel, hidden=hidden_pixels(assembly, channel))
-    if assembly.options.diffraction and assembly.options.method != "rays":
-        lines += _edges_beside(assembly, channel, _spot_samples(assembly, frame))
-    return replace(channel, lines=tuple(lines))
+        channel = replace(channel, hidden=hidden_pixels(setup, channel))
+    if setup.assembly.options.diffraction and setup.assembly.options.method != "rays":
+        stages += _edges_beside(setup, channel, spot_samples(setup))
+    left_out = [stage.predicted_error for stage in stages if stage.predicted_error is not None]
+    return replace(
+        channel,
+        stages=tuple(replace(stage, way=route.label) for stage in stages),
+        left_out=float(np.sqrt(np.sum(np.square(left_out)))),
+    )
 
 
-def _edges_beside(assembly: Assembly, channel: Channel, spots: np.ndarray) -> list[str]:
-    """A line on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
+def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Stage]:
+    """A stage on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
 
     Raises SceneError where such a shape cuts the light.
     """
     wave = 1.0
     if channel.openings:
-        names = shapes_before(assembly, channel, spots)
+        names = shapes_before(setup, channel, spots)
     else:
-        names = shapes_beside_way(assembly, channel, spots)
-        lit = np.array([*lit_pixels(assembly, channel, spots, channel.grid, rims=False)] if names else [])
+        names = shapes_beside_way(setup, channel, spots)
+        lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
         if names and not np.any(lit):
             return []  # hidden altogether: stays dark
         if np.all(lit):
-            v, names = clearance_of_shapes(assembly, channel, spots, _CLEARANCES)
+            v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
             wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 1.0
     if not names:
         return []
@@ -128,84 +182,81 @@ def _edges_beside(assembly: Assembly, channel: Channel, spots: np.ndarray) -> li
             "computed: put an aperture with the free part as its hole in its place, move it out of the light, or set "
             "diffraction to false for its geometric shadow"
         )
-    return [
-        f"left out: the wave of the edge of {named}, which stands beside the light (at most {wave:.1%} of the field)"
-    ]
+    return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
 
 
-def _mirror_line(route: Route) -> list[str]:
+def _unfolded(route: Route) -> list[Stage]:
     mirrors = [name for name, i in zip(route.names, route.interactions) if i.action == "reflect" and i.surface.is_plane]
-    return [f"unfolded: plane mirror {', '.join(mirrors)}"] if mirrors else []
+    return [Stage(UNFOLDED, tuple(mirrors))] if mirrors else []
 
 
 # Which openings limit the light
 
 
-def _openings(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[tuple[Rim, ...], str]:
-    """The openings to diffract at, and the reason in words."""
+def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Stage]]:
+    """The openings to diffract at, and the stages that say so and why."""
     if not channel.rims:
-        return (), _without_rims(assembly, frame, channel)
-    geometric, why_not = _geometric_view(assembly, frame, channel)
-    if not assembly.options.diffraction:
+        return (), [_without_rims(setup, channel)]
+    geometric, why_not = _geometric_view(setup, channel)
+    options = setup.assembly.options
+    if not options.diffraction:
         if geometric is None:
             raise SceneError(
                 f"way {channel.route.label}: {why_not}, so that the geometric field which diffraction=false asks for "
                 "does not exist all over it: set diffraction to true with an aperture in this way, block the way, or "
                 "move the detector"
             )
-        return (), "openings cast geometric shadows, as diffraction=false asks for"
-    if geometric is not None:
-        fringe, waves = np.array([_edge_wave(assembly, channel, rim, geometric) for rim in channel.rims]).T
-        if np.all(fringe >= CLEAR_OF_EDGE):
-            nearest = channel.rims[int(np.argmin(fringe))]
-            return (), (
-                f"diffracts nothing: the nearest edge, of {nearest.name}, is clear of the light "
-                f"(the edges' waves are about {waves.max():.1%} of the field)"
-            )
-        candidates = [rim for rim, v in zip(channel.rims, fringe) if v < CLEAR_OF_EDGE]
-    else:
-        candidates = list(channel.rims)
-    limiting = _limiting(assembly.spot_at(frame)[0], channel, candidates)
+        return (), [Stage(SHADOWS, reason="as diffraction=false asks for")]
+    first = [] if geometric is not None else _first_opening(setup, channel, why_not)
+    spots = spot_samples(setup)
+    chosen, waves = chosen_edges(setup, channel, spots, first)
+    if options.method == "rays":
+        names = tuple(rim.name for rim in chosen)
+        return chosen, [Stage(SHADOWS, names, reason="as rays are not diffracted")]
+    stages = [Stage(DIFFRACTED, tuple(rim.name for rim in chosen))] if chosen else []
+    left = max(waves, key=lambda one: one.wave, default=None)
+    if left is not None and left.wave > 0:
+        total = float(np.sqrt(sum(one.wave**2 for one in waves)))
+        reason = (
+            f"the nearest edge, of {left.rim.name}, is clear of the light "
+            f"(the edges' waves are about {total:.1%} of the field)"
+        )
+        stages.append(Stage(NOT_DIFFRACTED if not chosen else CLEAR, (left.rim.name,), reason=reason, predicted_error=total))
+    elif not chosen:
+        stages.append(Stage(NOT_DIFFRACTED, reason="no edge lies in the light"))
+    return chosen, stages
+
+
+def _first_opening(setup: Setup, channel: Channel, why: str) -> list[Rim]:
+    """The opening that limits the light where geometric optics does not hold on the detector."""
+    limiting = limiting_rims(setup.spot.point, channel)
     if not limiting:
-        if geometric is not None:
-            return (), "diffracts nothing: no edge lies in the light"
-        raise SceneError(f"way {channel.route.label}: {why_not} but no opening limits the light: put an aperture")
-    screens = [rim for rim in limiting if rim.is_screen]
-    if channel.has_power:
-        # Between curved surfaces one opening is enough: the others clip its nodes as geometric shadows.
-        chosen = (screens or limiting)[:1]
-    else:
-        chosen = sorted(limiting, key=lambda rim: rim.position)
-    names = ", ".join(rim.name for rim in chosen)
-    clipping = [rim.name for rim in limiting if rim not in chosen]
-    note = f" (shadows of {', '.join(dict.fromkeys(clipping))} fall on it)" if clipping else ""
-    if assembly.options.method == "rays":
-        return tuple(chosen), f"limited by {names}: rays are not diffracted, openings cast geometric shadows"
-    return tuple(chosen), f"diffracted at {names}{note}"
+        raise SceneError(f"way {channel.route.label}: {why} but no opening limits the light: put an aperture")
+    return ([rim for rim in limiting if rim.is_screen] or limiting)[:1]
 
 
-def _without_rims(assembly: Assembly, frame: Frame, channel: Channel) -> str:
+def _without_rims(setup: Setup, channel: Channel) -> Stage:
     if not channel.interactions:
-        return "free space: the light meets nothing on this way"
-    geometric, why_not = _geometric_view(assembly, frame, channel)
+        return Stage(FREE_SPACE, reason="the light meets nothing on this way")
+    geometric, why_not = _geometric_view(setup, channel)
     if geometric is None:
         raise SceneError(f"way {channel.route.label}: {why_not} but no opening limits the light: put an aperture")
-    return "diffracts nothing: no edge lies on this way"
+    return Stage(NOT_DIFFRACTED, reason="no edge lies on this way")
 
 
-def _spot_samples(assembly: Assembly, frame: Frame) -> np.ndarray:
+def spot_samples(setup: Setup) -> np.ndarray:
     """The spot's middle and points around it as far as it is summed, (n, 3)."""
-    target = assembly.target
+    target = setup.assembly.target
     if target.points is not None:
-        places = frame.to_world(target.points.points)
+        places = setup.frame.to_world(target.points.points)
         return np.unique(
             np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
             axis=0,
         )
-    size = assembly.beam.cutoff if np.isfinite(assembly.beam.radius) else np.inf
+    size = setup.assembly.beam.cutoff if np.isfinite(setup.assembly.beam.radius) else np.inf
     size = min(size, 0.5 * float(np.ptp(target.surface.facets.bounds)))
-    spot, _ = assembly.spot_at(frame)
-    return np.array([spot, *(spot + size * sign * frame.axes[:, k] for k in (0, 1) for sign in (-1, 1))])
+    spot = setup.spot.point
+    return np.array([spot, *(spot + size * sign * setup.frame.axes[:, k] for k in (0, 1) for sign in (-1, 1))])
 
 
 def _detector_samples(grid: PlaneGrid) -> np.ndarray:
@@ -224,10 +275,10 @@ class _View:
     points: np.ndarray = field(repr=False)
 
 
-def _geometric_view(assembly: Assembly, frame: Frame, channel: Channel) -> tuple[_View | None, str]:
+def _geometric_view(setup: Setup, channel: Channel) -> tuple[_View | None, str]:
     """The rays from spot to detector; None and the reason where not every pair has exactly one, clear of a caustic."""
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
-    spots, pixels = _spot_samples(assembly, frame), _detector_samples(channel.grid)
+    spots, pixels = spot_samples(setup), _detector_samples(channel.grid)
     sources, targets = np.repeat(spots, len(pixels), axis=0), np.tile(pixels, (len(spots), 1))
     aimed = aim(sequence, sources, targets)
     lost = aimed.status[~aimed.converged]
@@ -258,78 +309,3 @@ def _several_rays(channel: Channel, spot: np.ndarray) -> bool:
     directions = fan[lands] / np.linalg.norm(fan[lands], axis=1, keepdims=True)
     apart = np.linalg.norm(aimed.launch - directions, axis=1)
     return bool(np.any(apart[aimed.converged] > _SAME_RAY))
-
-
-def _edge_wave(assembly: Assembly, channel: Channel, rim: Rim, view: _View) -> tuple[float, float]:
-    """How far the rays keep from a rim, and how strong its wave is on the detector, relative to the field.
-
-    The first is the smallest Fresnel parameter v = d sqrt(2 / (lambda L)) of a ray's distance d to the rim, negative
-    outside it; 1/L is the curvature at the rim's plane of the path over it, that is of its two parts together. The wave
-    of a straight edge is 1/(pi sqrt(2) v) of the field; those of all parts of a round rim of radius R, seen over a
-    point at the distance r from its middle, add up to J0(k R r / L), of which the rms is taken.
-    """
-    hit = rim.plane.frame.to_local(view.points[rim.number])
-    clearance = rim.plane.outline.clearance(hit[:, 0], hit[:, 1])
-    nearest = int(np.argmin(clearance))
-    pair = slice(nearest, nearest + 1)
-    curvature = _curvature_over(channel, rim, view.sources[pair], view.targets[pair], view.points[rim.number, pair])
-    v = float(clearance[nearest] * np.sqrt(2 * abs(curvature) / assembly.beam.wavelength))
-    wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 1.0
-    if isinstance(rim.plane.outline, Circle):
-        turns = assembly.beam.wavenumber * rim.plane.outline.radius * np.hypot(hit[:, 0], hit[:, 1]) * abs(curvature)
-        with np.errstate(divide="ignore"):
-            wave = max(wave, float(np.sqrt(np.mean(np.minimum(1.0, 2 / (np.pi * turns))))))
-    return v, wave
-
-
-def _curvature_over(channel: Channel, rim: Rim, source: np.ndarray, target: np.ndarray, hit: np.ndarray) -> float:
-    """Smallest curvature [1/mm] of the path source - point of the rim's plane - target around the ray's own point."""
-    frame = rim.plane.frame
-    local = frame.to_local(hit)
-    middle = frame.to_world(local * [1, 1, 0])
-    step = 1e-2 * min(rim.plane.outline.half_size)
-    offsets = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step
-    places = middle + offsets[:, :1] * frame.axes[:, 0] + offsets[:, 1:] * frame.axes[:, 1]
-    length = np.zeros(len(places))
-    for piece, reverse in _halves(channel, rim):
-        ends = np.broadcast_to(target if reverse else source, places.shape)
-        if reverse:
-            aimed = aim(piece, places, ends)
-        else:
-            aimed = aim(piece, ends, places)
-        length += aimed.optical_path_length
-    second = [(length[k] + length[k + 1] - 2 * length[0]) / step**2 for k in (1, 3)]
-    return float(np.nanmin(np.abs(second))) if np.any(np.isfinite(second)) else 0.0
-
-
-def _halves(channel: Channel, rim: Rim) -> list[tuple[Sequence, bool]]:
-    before = tuple(i for i in channel.interactions[: rim.position] if i.action != "pass")
-    after = tuple(i for i in channel.interactions[rim.position :] if i.action != "pass")
-    return [(Sequence((*before, rim.end)), False), (Sequence((*after, detector_plane(channel.grid))), True)]
-
-
-def _limiting(spot: np.ndarray, channel: Channel, candidates: list[Rim]) -> list[Rim]:
-    """Those rims that are the edge of the light from the spot's middle, the most limiting first."""
-    sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
-    shares = []
-    for rim in candidates:
-        places = _rim_points(rim.plane)
-        before = tuple(i for i in channel.interactions[: rim.position] if i.action != "pass")
-        source = np.broadcast_to(spot, places.shape)
-        aimed = aim(Sequence((*before, rim.end)), source, places)
-        reached = aimed.converged
-        free = np.zeros(len(places), dtype=bool)
-        if np.any(reached):
-            traced = trace(sequence, source[reached], aimed.launch[reached])
-            alive = traced.status <= RayStatus.OUTSIDE_OUTLINE
-            free[reached] = alive & np.all(traced.margins >= -1e-4, axis=0)
-        shares.append(np.mean(free))
-    order = np.argsort(shares, kind="stable")[::-1]
-    return [candidates[k] for k in order if shares[k] > _LIMITING_SHARE]
-
-
-def _rim_points(plane: Surface) -> np.ndarray:
-    """World points (n, 3) just inside an outline."""
-    angle = 2 * np.pi * (np.arange(_RIM_POINTS) + 0.5) / _RIM_POINTS
-    x, y = plane.outline.edge(angle)
-    return plane.frame.to_world(_INSIDE_RIM * np.stack([x, y, 0 * x], axis=1))

@@ -19,8 +19,8 @@ from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix
-from ..scene.assembly import Assembly
-from .routes import NOTHING, TARGET
+from .setup import Setup
+from .tracer import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
 from .way import Channel, Rim
 
@@ -133,25 +133,25 @@ def _groups(sources: np.ndarray, most: int) -> list[np.ndarray]:
 # Shadows on the detector, where the light is not diffracted
 
 
-def is_clear(assembly: Assembly, channel: Channel, sources: np.ndarray, axes: np.ndarray) -> bool:
+def is_clear(setup: Setup, channel: Channel, sources: np.ndarray, axes: np.ndarray) -> bool:
     """Whether nothing casts a shadow on the detector, judged by the outermost rays."""
-    if not (channel.rims or assembly.elements):
+    if not (channel.rims or setup.assembly.elements):
         return True
     part, starts, ends = _outer_rays(channel, extremes(sources, axes))
     points, margins = part.rays(starts, ends)
-    return bool(np.all(margins > _SAFE_MARGIN)) and not part.shapes_beside(assembly, points)
+    return bool(np.all(margins > _SAFE_MARGIN)) and not part.shapes_beside(setup, points)
 
 
-def shapes_beside_way(assembly: Assembly, channel: Channel, sources: np.ndarray) -> list[str]:
+def shapes_beside_way(setup: Setup, channel: Channel, sources: np.ndarray) -> list[str]:
     """Names of the shapes that may stand in a way's light from sources (n, 3) to the detector without being on it."""
-    if not assembly.elements:
+    if not setup.assembly.elements:
         return []
     part, starts, ends = _outer_rays(channel, sources)
-    return part.shapes_beside(assembly, part.rays(starts, ends)[0])
+    return part.shapes_beside(setup, part.rays(starts, ends)[0])
 
 
 def clearance_of_shapes(
-    assembly: Assembly, channel: Channel, sources: np.ndarray, steps: tuple[float, ...]
+    setup: Setup, channel: Channel, sources: np.ndarray, steps: tuple[float, ...]
 ) -> tuple[float, list[str]]:
     """How far shapes beside a way keep off its light, and the names of those that come nearer than the last step.
 
@@ -163,9 +163,9 @@ def clearance_of_shapes(
     length = float(np.max(np.linalg.norm(np.diff(points, axis=0), axis=2).sum(axis=0)))
     kept = 0.0
     for v in steps:
-        aside = v * float(np.sqrt(assembly.beam.wavelength * length / 8))
-        if not np.all(part.unblocked(assembly, points, aside)):
-            return kept, part.shapes_beside(assembly, points, aside)
+        aside = v * float(np.sqrt(setup.assembly.beam.wavelength * length / 8))
+        if not np.all(part.unblocked(setup, points, aside)):
+            return kept, part.shapes_beside(setup, points, aside)
         kept = v
     return kept, []
 
@@ -177,7 +177,7 @@ def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarra
 
 
 def lit_pixels(
-    assembly: Assembly,
+    setup: Setup,
     channel: Channel,
     sources: np.ndarray,
     grid: PlaneGrid,
@@ -188,7 +188,7 @@ def lit_pixels(
 
     only: pixels to look at, all by default; rims: whether these count.
     """
-    return _Part.whole(channel).lit(assembly, sources, grid, grid.shape, rims, only)
+    return _Part.whole(channel).lit(setup, sources, grid, grid.shape, rims, only)
 
 
 @dataclass(frozen=True)
@@ -231,24 +231,25 @@ class _Part:
         aimed = aim(sequence, sources, targets)
         launch = np.where(aimed.converged[:, None], aimed.launch, targets - sources)
         points = trace(sequence, sources, launch).points
+        points[:, ~aimed.converged] = np.nan  # no ray, which nothing stands in the way of
         return np.concatenate([sources[None], points]), np.where(aimed.converged, aimed.margins, -1.0)
 
-    def shapes_beside(self, assembly: Assembly, points: np.ndarray, clear: float = 0.0) -> list[str]:
+    def shapes_beside(self, setup: Setup, points: np.ndarray, clear: float = 0.0) -> list[str]:
         """Names of the shapes that are not on this part, but may stand in it or within ``clear`` [mm] of its rays.
 
         points: (p, n, 3) of the rays.
         """
-        return shapes_beside(assembly, self._touched, self._folded(assembly, points), clear)
+        return shapes_beside(setup, self._touched, self._folded(setup, points), clear)
 
-    def unblocked(self, assembly: Assembly, points: np.ndarray, clear: float = 0.0) -> np.ndarray:
+    def unblocked(self, setup: Setup, points: np.ndarray, clear: float = 0.0) -> np.ndarray:
         """Whether each of the rays with the points (p, n, 3) is free of shapes that are not on this part, (n,).
 
         clear: distance [mm] aside of the rays at which is looked.
         """
-        return unblocked(assembly, self._touched, self._folded(assembly, points), clear)
+        return unblocked(setup, self._touched, self._folded(setup, points), clear)
 
     def lit(
-        self, assembly: Assembly, sources: np.ndarray, grid: PlaneGrid, shape: tuple[int, int], rims: bool,
+        self, setup: Setup, sources: np.ndarray, grid: PlaneGrid, shape: tuple[int, int], rims: bool,
         only: np.ndarray | None = None,
     ) -> Iterator[np.ndarray]:
         """Whether places of a detector are lit from each of sources (n, 3): bool of ``shape``, edge to edge pixel.
@@ -262,7 +263,7 @@ class _Part:
             targets = targets[chosen.ravel()]
             for source in sources:
                 lit = chosen.copy()
-                lit[chosen] = self.unblocked(assembly, np.stack([np.broadcast_to(source, targets.shape), targets]))
+                lit[chosen] = self.unblocked(setup, np.stack([np.broadcast_to(source, targets.shape), targets]))
                 yield lit
             return
         nodes = chebyshev_nodes(_NODES)
@@ -277,11 +278,11 @@ class _Part:
                 if rims:
                     for margin in margins[:, number]:
                         lit &= _interpolated(rows, margin, columns) >= 0
-                if self.shapes_beside(assembly, points[:, number]):
+                if self.shapes_beside(setup, points[:, number]):
                     coarse = np.moveaxis(points[:, number], 2, 1).reshape(-1, _NODES, _NODES)
                     fine = np.stack([_interpolated(rows, values, columns)[chosen] for values in coarse])
                     fine = np.moveaxis(fine.reshape(len(points), 3, -1), 1, 2)
-                    lit[chosen] &= self.unblocked(assembly, fine)
+                    lit[chosen] &= self.unblocked(setup, fine)
                 yield lit
 
     @property
@@ -290,12 +291,12 @@ class _Part:
         elements = (TARGET, *(number for number, *_ in self.channel.route.steps), NOTHING)
         return tuple(elements[place] for place in self.places)
 
-    def _folded(self, assembly: Assembly, points: np.ndarray) -> np.ndarray:
+    def _folded(self, setup: Setup, points: np.ndarray) -> np.ndarray:
         """Points (p, n, 3) of rays where they are in the scene."""
         seen = [*(i.surface.frame for i in self.channel.interactions), detector_plane(self.channel.grid).surface.frame]
         real = [
             *(i.surface.frame for i in self.channel.route.interactions),
-            detector_plane(assembly.detector).surface.frame,
+            detector_plane(setup.assembly.detector).surface.frame,
         ]
         folded = np.array(points)
         for row, place in enumerate(self.places):
@@ -351,27 +352,27 @@ def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.n
     return clearance
 
 
-def shapes_before(assembly: Assembly, channel: Channel, spots: np.ndarray) -> list[str]:
+def shapes_before(setup: Setup, channel: Channel, spots: np.ndarray) -> list[str]:
     """Names of shapes that cut the light on its way from samples of the spot (n, 3) to the last opening."""
     starts, rim, names = spots, None, []
     for opening in channel.openings:
         part, ends = _Part.between(channel, rim, opening), opening_samples(opening.plane)
         points, _ = part.rays(np.repeat(starts, len(ends), axis=0), np.tile(ends, (len(starts), 1)))
-        if not np.all(part.unblocked(assembly, points)):
-            names += part.shapes_beside(assembly, points)
+        if not np.all(part.unblocked(setup, points)):
+            names += part.shapes_beside(setup, points)
         starts, rim = ends, opening
     return names
 
 
-def hidden_pixels(assembly: Assembly, channel: Channel) -> np.ndarray | None:
+def hidden_pixels(setup: Setup, channel: Channel) -> np.ndarray | None:
     """Pixels (rows, columns) that a rim or a shape hides from a part of the last opening, None where there are none."""
     part, grid = _Part.between(channel, channel.openings[-1], None), channel.grid
-    if not part.interactions and not assembly.elements:
+    if not part.interactions and not setup.assembly.elements:
         return None
     outer = opening_samples(channel.openings[-1].plane)
     outer = np.concatenate([outer[-1:], outer[:-1][-_ANGLE_SAMPLES:]])
     shape = tuple(min(_COARSE, count) for count in grid.shape)
-    hidden = ~np.all(list(part.lit(assembly, outer, grid, shape, rims=True)), axis=0)
+    hidden = ~np.all(list(part.lit(setup, outer, grid, shape, rims=True)), axis=0)
     if not np.any(hidden):
         return None
     rows, columns = (

@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-import mitsuba as mi
 import numpy as np
 
-from ..geometry.frames import Frame
 from ..geometry.plane import PlaneGrid
 from ..geometry.rotation import vectors_across
 from ..scattering.rough_surface import Scatterers
-from ..scene.assembly import Assembly
-from ..scene.elements import Element
-from .routes import TARGET, screen_crossing
+from .setup import Setup
+from .tracer import TARGET, off_surface
+from .meeting import stands_between
 
 _NOTICEABLE = 1e-3
 """Share of the power above which scatterers that only part of the detector sees are worth a warning."""
 
-_OFF_SURFACE = 1e-3
-"""Least distance [mm] from the target at which rays start, so that its own facets do not stop them."""
-
-
-def _off_surface(points: np.ndarray) -> float:
-    """That distance for points (n, 3) whose coordinates Mitsuba rounds to single precision, twice a ray [mm]."""
-    return max(_OFF_SURFACE, 16 * float(np.finfo(np.float32).eps) * float(np.max(np.abs(points))))
-
-
 def visible_scatterers(
-    assembly: Assembly, frame: Frame, lit: Scatterers, viewpoints: list[np.ndarray]
+    setup: Setup, lit: Scatterers, viewpoints: list[np.ndarray]
 ) -> tuple[Scatterers, str]:
     """The scatterers that the laser and one of the viewpoints (3,) see, and a warning or an empty text.
 
@@ -34,23 +23,23 @@ def visible_scatterers(
     front of it. The user's own points radiate to all sides; a flat patch to its front; on a mesh, rays towards laser
     and viewpoint test whether the target shades itself.
     """
-    free = assembly.target.points is not None
+    free = setup.assembly.target.points is not None
     seen = np.full(lit.count, free)
     for viewpoint in [] if free else viewpoints:
         faces = _faces(lit, viewpoint)
-        seen |= faces if assembly.target.is_flat else faces & _unshaded(assembly, frame, lit, viewpoint)
-    if not assembly.elements:
+        seen |= faces if setup.assembly.target.is_flat else faces & _unshaded(setup, lit, viewpoint)
+    if not setup.assembly.elements:
         # Through elements the light's last way is another: the routes know its side.
-        seen &= lit.position @ assembly.detector.normal > assembly.detector.centre @ assembly.detector.normal
+        seen &= lit.position @ setup.assembly.detector.normal > setup.assembly.detector.centre @ setup.assembly.detector.normal
     note = "" if np.any(seen) else "no light: the detector sees none of the lit surface at this pose, the field is zero"
-    if not (free or assembly.target.is_flat or assembly.elements) and np.any(seen):
-        note = _note_of_horizon(assembly, lit, seen)
+    if not (free or setup.assembly.target.is_flat or setup.assembly.elements) and np.any(seen):
+        note = _note_of_horizon(setup, lit, seen)
     return (lit if np.all(seen) else lit.selected(seen)), note
 
 
-def _note_of_horizon(assembly: Assembly, lit: Scatterers, seen: np.ndarray) -> str:
+def _note_of_horizon(setup: Setup, lit: Scatterers, seen: np.ndarray) -> str:
     """A warning when parts of the detector see other parts of a curved surface than its centre does."""
-    grid = assembly.detector
+    grid = setup.assembly.detector
     half_u, half_v = grid.half_size
     partly = np.zeros(lit.count, dtype=bool)
     for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
@@ -61,11 +50,11 @@ def _note_of_horizon(assembly: Assembly, lit: Scatterers, seen: np.ndarray) -> s
     return "part of the detector lies below the horizon of part of the lit surface: its field is not exact there"
 
 
-def pixels_in_view(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndarray | float:
+def pixels_in_view(setup: Setup, grid: PlaneGrid) -> np.ndarray | float:
     """1 where a flat target itself does not hide its spot from a pixel, (rows, columns), or 1.0 where it hides none."""
-    if not assembly.target.is_flat or assembly.target.points is not None:
+    if not setup.assembly.target.is_flat or setup.assembly.target.points is not None:
         return 1.0
-    spot, normal = assembly.spot_at(frame)
+    spot, normal = setup.spot.point, setup.spot.normal
     height = (grid.origin - spot) @ normal
     along_v, along_u = grid.rows * (grid.v @ normal), grid.columns * (grid.u @ normal)
     if height + along_v.min() + along_u.min() > 0:
@@ -76,7 +65,7 @@ def pixels_in_view(assembly: Assembly, frame: Frame, grid: PlaneGrid) -> np.ndar
 # Shapes that stand in a way of the light
 
 
-def shapes_beside(assembly: Assembly, touched: tuple[int, ...], points: np.ndarray, clear: float = 0.0) -> list[str]:
+def shapes_beside(setup: Setup, touched: tuple[int, ...], points: np.ndarray, clear: float = 0.0) -> list[str]:
     """Names of the shapes that a way does not go over, but that may stand in it.
 
     points: (p, n, 3) of its rays, start, surfaces and end; touched: number of the element at each of the p places, or
@@ -84,10 +73,14 @@ def shapes_beside(assembly: Assembly, touched: tuple[int, ...], points: np.ndarr
     shape named here may still leave all rays free.
     """
     segments = zip(touched, touched[1:], points, points[1:], strict=False)
-    return [name for one, two, start, end in segments for name, *_ in _beside(assembly, one, two, start, end, clear)]
+    return [
+        "target" if number == TARGET else setup.assembly.elements[number].name
+        for one, two, start, end in segments
+        for number in _beside(setup, one, two, start, end, clear)
+    ]
 
 
-def unblocked(assembly: Assembly, touched: tuple[int, ...], points: np.ndarray, clear: float = 0.0) -> np.ndarray:
+def unblocked(setup: Setup, touched: tuple[int, ...], points: np.ndarray, clear: float = 0.0) -> np.ndarray:
     """Whether each of n rays is free of all shapes that the way does not go over, (n,); see :func:`shapes_beside`.
 
     A segment through the hole of a screen that is not on the way is not free either: that is a way of its own.
@@ -95,8 +88,8 @@ def unblocked(assembly: Assembly, touched: tuple[int, ...], points: np.ndarray, 
     """
     free = np.ones(points.shape[1], dtype=bool)
     for one, two, start, end in zip(touched, touched[1:], points, points[1:], strict=False):
-        for aside in _across((end - start).mean(axis=0), clear):
-            free &= _segment_free(assembly, one, two, start + aside, end + aside)
+        for aside in _across(np.nanmean(end - start, axis=0), clear):
+            free &= _segment_free(setup, one, two, start + aside, end + aside)
     return free
 
 
@@ -109,93 +102,67 @@ def _across(heading: np.ndarray, distance: float) -> np.ndarray:
     return distance * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
 
 
-def _segment_free(assembly: Assembly, one: int, two: int, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+def _segment_free(setup: Setup, one: int, two: int, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Whether segments from start to end (n, 3), at the elements ``one`` and ``two``, are free of all others, (n,)."""
-    standing = _beside(assembly, one, two, start, end)
+    standing = _beside(setup, one, two, start, end)
     if not standing:
         return np.ones(len(start), dtype=bool)
     towards = end - start
     distance = np.linalg.norm(towards, axis=1)
     direction = towards / np.maximum(distance, 1e-300)[:, None]
-    # Where two surfaces touch there is no way between them that anything could stand in.
-    reach = np.maximum(distance - _off_surface(end), 0)
-    free = _free(_scene_of(*(shape for _, shape, _ in standing)), start, direction, reach) | (reach <= 0)
-    for _, _, element in standing:
-        if element is not None and element.kind == "opening":
-            crossing, in_hole, on_screen = screen_crossing(element, start, direction)
-            free &= ~((in_hole | on_screen) & (crossing < reach))
+    elements = setup.assembly.elements
+    meshes = tuple(number for number in standing if number == TARGET or elements[number].kind == "opaque")
+    free = np.ones(len(start), dtype=bool)
+    if meshes:
+        clear = off_surface(end)
+        reach = np.maximum(distance - 2 * clear, 0)
+        free = setup.tracer.free(meshes, start + clear * direction, direction, reach, setup.frame) | (reach <= 0)
+    for number in standing:
+        if number not in meshes:
+            free &= ~stands_between(elements[number], start, direction, distance)
     return free
 
 
 def _beside(
-    assembly: Assembly, one: int, two: int, start: np.ndarray, end: np.ndarray, clear: float = 0.0
-) -> list[tuple[str, mi.Shape, Element | None]]:
-    """Name, shape and element of what lies in the box around segments from start to end (n, 3) but at neither end."""
-    low, high = (f(np.minimum(start, end) if f is np.min else np.maximum(start, end), axis=0) for f in (np.min, np.max))
-    shapes = [
-        (element.name, element.shape, element)
-        for number, element in enumerate(assembly.elements)
-        if number not in (one, two)
-    ]
-    if assembly.target.points is None and TARGET not in (one, two):
-        shapes.append(("target", assembly.target.shape, None))
+    setup: Setup, one: int, two: int, start: np.ndarray, end: np.ndarray, clear: float = 0.0
+) -> list[int]:
+    """Numbers of what lies in the box around segments from start to end (n, 3) but at neither end."""
+    low, high = np.fmin.reduce(np.fmin(start, end)), np.fmax.reduce(np.fmax(start, end))
+    bounds = {n: element.body.bounds for n, element in enumerate(setup.assembly.elements) if n not in (one, two)}
+    if setup.assembly.target.points is None and TARGET not in (one, two):
+        bounds[TARGET] = _target_bounds(setup)
     found = []
-    for item in shapes:
-        box = item[1].bbox()
-        slack = clear + _off_surface(np.array([box.min, box.max]))
-        if np.all(np.array(box.min) - slack <= high) and np.all(np.array(box.max) + slack >= low):
-            found.append(item)
+    for number, (lowest, highest) in bounds.items():
+        slack = clear + off_surface(np.array([lowest, highest]))
+        if np.all(lowest - slack <= high) and np.all(highest + slack >= low):
+            found.append(number)
     return found
+
+
+def _target_bounds(setup: Setup) -> np.ndarray:
+    """(2, 3) corners of a box around the target where it stands [mm]."""
+    low, high = setup.assembly.target.body.bounds
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    placed = setup.frame.to_world(corners)
+    return np.array([placed.min(axis=0), placed.max(axis=0)])
 
 
 def _faces(scatterers: Scatterers, point: np.ndarray) -> np.ndarray:
     normal, position = scatterers.normal, scatterers.position
-    if len(normal) and normal.strides[0] == 0:  # the same for all of a flat patch
+    if scatterers.on_plane:
         return position @ normal[0] < point @ normal[0]
     return np.einsum("ij,ij->i", normal, point - position) > 0
 
 
-def _unshaded(assembly: Assembly, frame: Frame, lit: Scatterers, viewpoint: np.ndarray) -> np.ndarray:
-    """Whether the way to the laser and to the viewpoint is free of the target's own mesh, (n,) bool.
-
-    The rays are turned into the pose of the mesh in the Mitsuba scene, so that no scene has to be built anew.
-    """
-    target = assembly.target
-    current = target.frame.moved(target.shape.pose())
-    points = current.to_world(frame.to_local(lit.position))
-    normals = lit.normal @ frame.axes @ current.axes.T
-    centre = current.to_world(frame.to_local(viewpoint[None]))[0]
-    scene = _scene_of(target.shape)
+def _unshaded(setup: Setup, lit: Scatterers, viewpoint: np.ndarray) -> np.ndarray:
+    """Whether the way to the laser and to the viewpoint is free of the target's own mesh, (n,) bool."""
+    target, frame = setup.assembly.target, setup.frame
+    points, normals = frame.to_local(lit.position), lit.normal @ frame.axes
     size = float(np.max(np.ptp(target.surface.facets.origin, axis=0), initial=0.0))
-    start = points + normals * max(_off_surface(points), 1e-5 * size, 4 * target.surface.roughness)
-    to_detector = centre - start
+    start = points + normals * max(off_surface(points), 1e-5 * size, 4 * target.surface.roughness)
+    to_detector = frame.to_local(viewpoint[None])[0] - start
     distance = np.linalg.norm(to_detector, axis=1)
-    to_laser = assembly.beam.directions_to_source(lit.position) @ frame.axes @ current.axes.T
+    to_laser = setup.assembly.beam.directions_to_source(lit.position) @ frame.axes
     reach = np.full(len(start), 10 * size + np.max(distance))
-    return _free(scene, start, to_laser, reach) & _free(scene, start, to_detector / distance[:, None], distance)
-
-
-_scenes: dict[tuple[int, ...], tuple[tuple[mi.Shape, ...], mi.Scene]] = {}
-_SCENES_KEPT = 16
-
-
-def _scene_of(*shapes: mi.Shape) -> mi.Scene:
-    """A scene with nothing but the given shapes in it."""
-    key = tuple(id(shape) for shape in shapes)
-    if key not in _scenes:
-        while len(_scenes) >= _SCENES_KEPT:
-            _scenes.pop(next(iter(_scenes)))
-        # The shapes are kept with their scene, so that no other object takes their place in memory and in the key.
-        _scenes[key] = shapes, mi.load_dict({"type": "scene"} | {f"shape{k}": shape for k, shape in enumerate(shapes)})
-    return _scenes[key][1]
-
-
-def _free(scene: mi.Scene, start: np.ndarray, direction: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    rays = mi.Ray3f(
-        o=mi.Point3f(*(mi.Float(column.astype(np.float32)) for column in start.T)),
-        d=mi.Vector3f(*(mi.Float(column.astype(np.float32)) for column in direction.T)),
-        maxt=mi.Float(reach.astype(np.float32)),
-        time=0.0,
-        wavelengths=mi.Color0f(),
-    )
-    return ~np.array(scene.ray_test(rays))
+    free_of_target = setup.tracer.free_of_target
+    return free_of_target(start, to_laser, reach) & free_of_target(start, to_detector / distance[:, None], distance)

@@ -7,10 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.frames import Frame
+from ..geometry.outline import Circle, OffsetCircle
 from ..geometry.plane import PlaneGrid
 from ..optics.sequence import Interaction
 from ..optics.surface import Surface
 from .routes import Route
+from .stage import Stage
+
+
+_SAME_PLACE = 1e-6
+"""Distance [mm] up to which two places are one: light has no direction between them."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +25,7 @@ class Rim:
 
     name: element; plane: the plane of the rim with its outline; number: of the interaction whose outline it is;
     position: number of interactions before the plane; index: of the medium there; is_screen: whether it is an aperture
-    or a mirror's edge rather than a lens's.
+    or a mirror's edge rather than a lens's; normal: (3,) of the plane, on the side that light goes on to.
     """
 
     name: str
@@ -28,6 +34,7 @@ class Rim:
     position: int
     index: float
     is_screen: bool
+    normal: np.ndarray
 
     @property
     def end(self) -> Interaction:
@@ -41,7 +48,8 @@ class Channel:
 
     interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
     diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
-    lines: the plan in words; hidden: pixels (rows, columns) that something hides from a part of the last opening.
+    stages: what is done for it; left_out: what the waves of edges that are not diffracted at amount to, relative to the
+    field; hidden: pixels (rows, columns) that something hides from a part of the last opening.
     """
 
     route: Route
@@ -49,7 +57,8 @@ class Channel:
     grid: PlaneGrid
     openings: tuple[Rim, ...]
     rims: tuple[Rim, ...]
-    lines: tuple[str, ...]
+    stages: tuple[Stage, ...]
+    left_out: float = 0.0
     hidden: np.ndarray | None = None
 
     @property
@@ -59,8 +68,8 @@ class Channel:
 
     @property
     def viewpoint(self) -> np.ndarray:
-        """(3,) where the light from the target goes first: the vertex of a surface, or the detector's centre [mm]."""
-        return self.interactions[0].surface.frame.origin if self.interactions else self.grid.centre
+        """(3,) where the light from the target goes first: a surface, or the detector's centre [mm]."""
+        return self.interactions[0].place if self.interactions else self.grid.centre
 
     def leg(self, number: int) -> tuple[Interaction, ...]:
         """The refracting and reflecting interactions between point set ``number`` and the next."""
@@ -69,14 +78,28 @@ class Channel:
         return tuple(i for i in self.interactions[first:last] if i.action != "pass")
 
 
-def rims_of(spot: np.ndarray, names: tuple[str, ...], interactions: tuple[Interaction, ...]) -> tuple[Rim, ...]:
-    """The outlines among the interactions of a way that starts at ``spot`` (3,), in order."""
-    vertices = [spot, *(i.surface.frame.origin for i in interactions)]
+def rims_of(
+    spot: np.ndarray, names: tuple[str, ...], interactions: tuple[Interaction, ...], end: np.ndarray
+) -> tuple[Rim, ...]:
+    """The outlines among the interactions of a way from ``spot`` (3,) to ``end`` (3,), in order."""
+    places = np.array([spot, *(i.place for i in interactions), end])
     return tuple(
-        _rim(name, number, interaction, interaction.surface.frame.origin - vertices[number])
+        _rim(name, number, interaction, _travel(places, number))
         for number, (name, interaction) in enumerate(zip(names, interactions, strict=True))
         if interaction.surface.outline is not None
     )
+
+
+def _travel(places: np.ndarray, number: int) -> np.ndarray:
+    """(3,) the direction in which light comes to interaction ``number``, which is at ``places[number + 1]``.
+
+    From the last place before it that is not the same; where it is the first of all, towards the next.
+    """
+    here = places[number + 1]
+    for before in places[number::-1]:
+        if np.linalg.norm(here - before) > _SAME_PLACE:
+            return here - before
+    return next((after - here for after in places[number + 2 :] if np.linalg.norm(after - here) > _SAME_PLACE), here)
 
 
 def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -> Rim:
@@ -86,13 +109,20 @@ def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -
     rays meet first the surface and then the plane of its rim.
     """
     surface, outline = interaction.surface, interaction.surface.outline
-    if interaction.action == "pass" or surface.is_plane:
-        return Rim(name, surface, number, number, interaction.index_before, interaction.action == "pass")
+    axis = surface.frame.axes[:, 2]
+    normal = axis if travel @ axis > 0 else -axis
+    is_screen = interaction.action == "pass"
+    if is_screen or surface.is_plane:
+        return Rim(name, surface, number, number, interaction.index_before, is_screen, normal)
+    if isinstance(outline, OffsetCircle):
+        # Cut out beside the axis, a rim lies in no plane: the one through its middle stands for it.
+        plane = Surface(Frame(surface.middle, surface.frame.axes), outline=Circle(outline.radius))
+        return Rim(name, plane, number, number, interaction.index_before, False, normal)
     sag = surface.sag(outline.reach**2)
-    bulges = sag * float(travel @ surface.frame.axes[:, 2]) > 0
+    bulges = sag * float(travel @ axis) > 0
     if bulges and interaction.action == "reflect":
         sag = 0.0  # light never comes to the plane of a convex mirror's rim: take the one through its vertex
-    plane = Surface(Frame(surface.frame.origin + sag * surface.frame.axes[:, 2], surface.frame.axes), outline=outline)
+    plane = Surface(Frame(surface.frame.origin + sag * axis, surface.frame.axes), outline=outline)
     if bulges and interaction.action == "refract":
-        return Rim(name, plane, number, number + 1, interaction.index_after, False)
-    return Rim(name, plane, number, number, interaction.index_before, False)
+        return Rim(name, plane, number, number + 1, interaction.index_after, False, normal)
+    return Rim(name, plane, number, number, interaction.index_before, False, normal)

@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import drjit as dr
 import numpy as np
-from scipy.special import jv
+from scipy import fft
 
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..machine.backend import arrays
@@ -37,27 +36,38 @@ POWER_SAMPLE = 1 << 16
 BANDWIDTH_MARGIN = 1.02
 """Covers what the secants between probes miss of the steepest slope."""
 
+PHASE_NODES = 24
+"""Nodes along each side that carry the common phase of a path without closed form.
+
+A path traced through lenses is a series of seven or so terms a side: eight nodes carry it to 1e-9 wavelengths in every
+scene that ships. Three times as many are still only 576 paths, and hold paths three times as rough."""
+
 PIXELS_AT_ONCE = 1 << 22
 """Pixels interpolated at once: bounds the memory beyond the result at 128 MB."""
 
 
-@lru_cache(maxsize=16)
 def _regular_matrix(count: int, pixels: int, double: bool) -> np.ndarray:
-    """Interpolation matrix (pixels, count) to pixels evenly spaced from end to end, kept for the frames of a sweep."""
+    """Interpolation matrix (pixels, count) to pixels evenly spaced from end to end."""
     matrix = interpolation_matrix(count, np.linspace(-1.0, 1.0, pixels) if pixels > 1 else np.zeros(1))
     return matrix if double else matrix.astype(np.float32)
 
 
-@lru_cache(maxsize=64)
 def _tails(half_turns: float) -> np.ndarray:
     """(REACH_BINS, n) error of n Chebyshev nodes for e^{2 pi i s x}, |x| <= 1, s the upper edge of each bin of reach.
 
-    The Chebyshev coefficients of a plane wave are 2 i^n J_n(2 pi s): the sum of those left out bounds the error.
+    The Chebyshev coefficients of a plane wave are 2 i^n J_n(2 pi s): the sum of those left out bounds the error. The
+    Bessel functions are taken from the Jacobi-Anger series, cos(z sin t) = J_0 + 2 sum J_2m cos(2mt) and
+    sin(z sin t) = 2 sum J_2m+1 sin((2m + 1)t), by fast transforms over a quarter turn of t: exact to rounding once no
+    order beyond the transforms' counts, and hundreds of times faster than one by one.
     """
     bandwidth = 2 * np.pi * half_turns
-    order = np.arange(int(bandwidth + 12 * bandwidth ** (1 / 3) + 60))
+    orders = bandwidth + 12 * bandwidth ** (1 / 3) + 60
+    count = fft.next_fast_len(int(orders) // 2 + 1, real=True)
     reach = (np.arange(REACH_BINS) + 1) / REACH_BINS
-    return np.cumsum(2 * np.abs(jv(order, bandwidth * reach[:, None]))[:, ::-1], axis=1)[:, ::-1]
+    argument = np.outer(bandwidth * reach, np.sin(np.pi / 2 * (np.arange(count) + 0.5) / count))
+    twice_even, twice_odd = fft.dct(np.cos(argument), 2) / count, fft.dst(np.sin(argument), 4) / count
+    left_out = np.abs(np.stack([twice_even, twice_odd], axis=2)).reshape(REACH_BINS, -1)
+    return np.cumsum(left_out[:, ::-1], axis=1)[:, ::-1]
 
 
 def nodes_for(half_turns: float, power: np.ndarray, tolerance: float) -> int:
@@ -174,15 +184,10 @@ def node_grid(
     rectangle = Area.around(target)
     bandwidth = local_bandwidth(path, reach.bounds, target, rectangle, wavelength)
     count = tuple(
-        nodes_for(_upward(rate * (side[1] - side[0]) / 2), power, tolerance) if side[1] > side[0] else 1
+        nodes_for(rate * (side[1] - side[0]) / 2, power, tolerance) if side[1] > side[0] else 1
         for rate, side, power in zip(bandwidth, (rectangle.a, rectangle.b), reach.power, strict=True)
     )
     return NodeGrid(count, rectangle)
-
-
-def _upward(turns: float) -> float:
-    """Rounded up by at most 3%: the frames of a sweep, whose boxes differ a little, then share their matrices."""
-    return float(np.exp(np.ceil(np.log(max(turns, 1e-3)) / 0.03) * 0.03))
 
 
 def band_limited_sum(
@@ -297,11 +302,10 @@ def _smooth_turns(
     path: Path, reference: np.ndarray, nodes: NodeGrid, grid: PlaneGrid, wavelength: float
 ) -> Callable[[slice], np.ndarray]:
     """V(P0, D)/lambda on rows of the grid for a path without closed form, from its values on Chebyshev nodes."""
-    count = 24
-    coarse = NodeGrid((count, count), nodes.rectangle)
-    values = path(reference[None], coarse.points(grid).points())[0].reshape(count, count) / wavelength
-    along_u = _regular_matrix(count, grid.shape[1], True)
-    along_v = _regular_matrix(count, grid.shape[0], True)
+    coarse = NodeGrid((PHASE_NODES, PHASE_NODES), nodes.rectangle)
+    values = path(reference[None], coarse.points(grid).points())[0].reshape(coarse.count) / wavelength
+    along_u = _regular_matrix(PHASE_NODES, grid.shape[1], True)
+    along_v = _regular_matrix(PHASE_NODES, grid.shape[0], True)
     middle = values.mean()
     return lambda rows: along_v[rows] @ (values - middle) @ along_u.T + (middle - np.round(middle))
 

@@ -6,12 +6,10 @@ Source of the barycentric formula: Berrut & Trefethen, SIAM Review 46 (2004), do
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 
-@lru_cache(maxsize=256)
 def chebyshev_nodes(count: int) -> np.ndarray:
     """(count,) Chebyshev points of the first kind on [-1, 1], ascending."""
     return -np.cos((np.arange(count) + 0.5) * np.pi / count)
@@ -33,7 +31,6 @@ def interpolation_matrix(count: int, places: np.ndarray) -> np.ndarray:
     return matrix
 
 
-@lru_cache(maxsize=256)
 def coefficient_matrix(count: int) -> np.ndarray:
     """(count, count) matrix from values at ``chebyshev_nodes(count)`` to coefficients of T_0 ... T_{count-1}."""
     angle = (np.arange(count) + 0.5) * np.pi / count

@@ -6,22 +6,22 @@ tolerance there is replaced by a better one rather than believed.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..machine.cores import products_on_one_thread
 from .area import Area, points_at
 from .bandlimited import NodeGrid, band_limited_sum, node_grid, reach_of
-from .costs import Costs, costs_of
+from .costs import RECORDED, Costs
 from .direct import SINGLE_PRECISION, direct_sum, supports
 from .interpolated import interpolated
-from .lowrank import LARGEST_TABLE, Part, expand_in_parts, low_rank_sum
+from .lowrank import LARGEST_TABLE, SpotPart, expand_in_parts, low_rank_sum
 from .paths import Path
-from .phasors import active_variant
 from .reference import Sample, reference_sum
 from .runs import Extent
 from .source_box import SourceBox
@@ -46,35 +46,110 @@ MOST_PARTS = 256
 POINTS_AT_ONCE = 1 << 20
 """Points of the target for which an expansion is evaluated at once."""
 
+FEW_NODES = 0.7
+"""Nodes a point of the target below which the field is summed on nodes and carried from them to the points.
+
+By the recorded costs a sum of rank 6 gains from that up to 0.9 nodes a point, and the sum over all pairs up to 0.4,
+as a pair at scattered nodes costs twice one on a grid; between the two either way takes about as long."""
+
+DOUBLE_PRECISION = 3.0
+"""Times longer that the sum over pairs takes where its angles have to be float64: for tolerances below float32's."""
+
+SECOND_TRY = 0.03
+"""Share of the tolerance that the sums are tried with again, once all have missed it."""
+
+LEAST_ASKED = 1e-9
+"""Tolerance that no sum is asked to go below: rounding of paths of 10^6 wavelengths is near."""
+
+SHARE_OF_PATH = 1 / 20
+"""Of the tolerance, what a series that stands for a path may add to it: nothing that counts beside the sum's own."""
+
 ACCEPTED_SHARE = 0.7
 """Share of the tolerance up to which a measured error is accepted: a few tens of points know it to about 20 %."""
 
-SAMPLED_PAIRS = 10_000_000
-"""Pairs spent on measuring the error, as far as between 8 and 64 sampled points allow."""
+SAMPLED_PAIRS, SAMPLED_POINTS = 10_000_000, (8, 64)
+"""Pairs spent on measuring the error, as far as fewest and most sampled points allow."""
 
 KERNEL_PAIRS = 100_000
 """Pairs of that sample from which the kernel is worth its launch; fewer are summed in NumPy."""
+
+
+EVERY_PAIR, ON_NODES, NUFFT, DARK = "every pair", "every source on nodes", "NUFFT", "dark"
+"""Ways of doing a sum."""
+
+ASKED, FASTEST, ONLY, LAST_RESORT = "as asked", "predicted fastest", "nothing else applies", "nothing cheaper"
+"""Why one of them was taken."""
+
+
+@dataclass(frozen=True)
+class How:
+    """How a sum was done, and why so.
+
+    kind: which way; points: of the target; pairs: of source and point; nodes: (along u, along v) where the field is
+    interpolated from nodes; ranks: smallest and largest of the expansions of ``parts`` parts of the spot; why: see
+    ``ASKED`` and so on; slower: kinds that were predicted to take longer; missed: kinds that were tried before, each with
+    the error it had; tolerance: what had to be kept; predicted_seconds: None where nobody asked.
+    """
+
+    kind: str
+    points: int
+    pairs: float = 0.0
+    nodes: tuple[int, int] | None = None
+    ranks: tuple[int, int] | None = None
+    parts: int = 1
+    why: str = ASKED
+    slower: tuple[str, ...] = ()
+    missed: tuple[tuple[str, float], ...] = ()
+    tolerance: float | None = None
+    predicted_seconds: float | None = None
+
+    def __str__(self) -> str:
+        """In words, one line."""
+        if self.kind == DARK:
+            return "dark: no source has any weight"
+        missed = "".join(f"; {kind} missed the tolerance with {error:.1e}" for kind, error in self.missed)
+        why = {
+            FASTEST: f"predicted faster than {' and '.join(self.slower)}",
+            LAST_RESORT: f"nothing cheaper keeps {self.tolerance or 0:.0e}",
+        }.get(self.why, self.why)
+        return f"{self._what} ({why}{missed})"
+
+    @property
+    def _what(self) -> str:
+        places = f"{self.nodes[0]} x {self.nodes[1]} nodes of {self.points} points" if self.nodes else "all points"
+        if self.kind == EVERY_PAIR:
+            return f"every one of {self.pairs:.3g} pairs"
+        if self.kind == ON_NODES:
+            return f"every source on {places}"
+        rank = f"NUFFT of rank {self.ranks[0]}"
+        if self.parts > 1:
+            rank = f"NUFFTs of rank {self.ranks[0]} to {self.ranks[1]} of {self.parts} parts of the spot"
+        return f"{rank} on {places}"
 
 
 @dataclass(frozen=True)
 class SumResult:
     """Outcome of a coherent sum.
 
-    field: complex128 of the target's shape; plan: what was chosen and why, one line; numerical_error: relative L2 error
-    of the field, measured on a sample of points against the exact sum.
+    field: complex128 of the target's shape; how: what was chosen and why; numerical_error: relative L2 error of the
+    field, measured on a sample of points against the exact sum.
     """
 
     field: np.ndarray
-    plan: str
+    how: How
     numerical_error: float
+
+    @property
+    def plan(self) -> str:
+        """How the sum was done, in words."""
+        return str(self.how)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A way of doing the sum: its kind and what exactly, how long it should take [s], and how to do it."""
+    """A way of doing the sum: what it is, how long it should take [s], and how to do it."""
 
-    kind: str
-    name: str
+    how: How
     seconds: float
     field: Callable[[], np.ndarray]
 
@@ -88,42 +163,43 @@ def coherent_sum(
     wavelength: float,
     method: str = "auto",
     tolerance: float = 1e-4,
+    costs: Costs = RECORDED,
 ) -> SumResult:
     """E_m = sum_j c_j A(P_j, D_m) e^{+ikV(P_j, D_m)} on all points of the target.
 
     sources: (n, 3) [mm]; weights c: (n,) complex; wavelength [mm]. method: ``direct`` takes every pair (for a path
     without closed form: the expansion at its tightest), ``fast`` the cheapest of the others, ``auto`` the cheapest of
-    all. tolerance: relative L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; what misses it is replaced.
+    all. tolerance: relative L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; what misses it is replaced. costs:
+    what the choice rests on; who sums on a graphics card measures them there once (``costs_of``) and hands them over.
     Raises ValueError for arrays of the wrong shape, values that are not finite, parameters out of range, and a source
     that lies on a point of the target.
     """
     sources, weights = _checked(sources, weights, target, wavelength, method, tolerance)
     lit = weights != 0
     if not lit.any():
-        return SumResult(np.zeros(_shape(target), dtype=np.complex128), "dark: no source has any weight", 0.0)
+        return SumResult(np.zeros(_shape(target), dtype=np.complex128), How(DARK, target.size), 0.0)
     if not lit.all():
         sources, weights = sources[lit], weights[lit]
     if method == "direct":
         tolerance = SINGLE_PRECISION if supports(path) else TIGHTEST
     task = Task(path, sources, weights, target, wavelength, tolerance).with_cheap_path()
     if method == "direct" and supports(path):
-        return task.result(task.every_pair(), "as asked")
-    return _first_that_holds(task, costs_of(active_variant()), with_pairs=method == "auto")
+        return task.result(task.every_pair(), ASKED)
+    return _first_that_holds(task, costs, with_pairs=method == "auto")
 
 
 def _first_that_holds(task: Task, costs: Costs, with_pairs: bool) -> SumResult:
     """The result of the cheapest candidate that keeps the tolerance; every pair is the last resort."""
-    missed = ""
-    for share in (1.0, 0.03):
-        candidates = replace(task, tolerance=max(share * task.tolerance, 1e-9)).candidates(costs, with_pairs)
+    missed: list[tuple[str, float]] = []
+    for share in (1.0, SECOND_TRY):
+        candidates = replace(task, tolerance=max(share * task.tolerance, LEAST_ASKED)).candidates(costs, with_pairs)
         for i, candidate in enumerate(candidates):
-            slower = " and ".join(other.kind for other in candidates[i + 1 :])
-            why = f"predicted faster than {slower}" if slower else "nothing else applies"
-            result = task.result(candidate, why + missed)
+            slower = tuple(other.how.kind for other in candidates[i + 1 :])
+            result = task.result(candidate, FASTEST if slower else ONLY, slower, missed)
             if result.numerical_error <= ACCEPTED_SHARE * task.tolerance:
                 return result
-            missed += f"; {candidate.kind} missed the tolerance with {result.numerical_error:.1e}"
-    return task.result(task.every_pair(), f"nothing cheaper keeps {task.tolerance:.0e}{missed}")
+            missed.append((candidate.how.kind, result.numerical_error))
+    return task.result(task.every_pair(), LAST_RESORT, (), missed)
 
 
 @dataclass(frozen=True)
@@ -149,7 +225,7 @@ class Task:
         """The same with a path without closed form replaced by its series, where it has one."""
         if supports(self.path):
             return self
-        series = interpolated(self.path, self.box, self.target, self.wavelength, self.tolerance / 20)
+        series = interpolated(self.path, self.box, self.target, self.wavelength, SHARE_OF_PATH * self.tolerance)
         return self if series is None else replace(self, path=series, path_error=series.error)
 
     @cached_property
@@ -171,16 +247,16 @@ class Task:
         count, shape = len(self.sources), _shape(self.target)
         interpolation = costs.interpolation(self.nodes.count, shape if len(shape) == 2 else (shape[0], 1))
         all_pairs = np.inf
-        few_nodes = self.nodes.size < 0.7 * self.target.size
+        few_nodes = self.nodes.size < FEW_NODES * self.target.size
         if supports(self.path):
-            slow_down = 1 if self.tolerance >= SINGLE_PRECISION else 3
+            slow_down = 1.0 if self.tolerance >= SINGLE_PRECISION else DOUBLE_PRECISION
             all_pairs = slow_down * count * self.target.size * costs.grid_pair
             if with_pairs:
                 found.append(replace(self.every_pair(), seconds=all_pairs))
             if few_nodes:
                 seconds = slow_down * count * self.nodes.size * costs.point_pair + interpolation
-                name = f"every source on {self._node_text}"
-                found.append(Candidate("every source on nodes", name, seconds, lambda: self._on_nodes(self._exact)))
+                how = How(ON_NODES, self.target.size, nodes=self.nodes.count)
+                found.append(Candidate(how, seconds, lambda: self._on_nodes(self._exact)))
         best = min([all_pairs, *(candidate.seconds for candidate in found)])
         least = EXPANSION_SECONDS + 2 * count * costs.nufft_point
         if best > least:
@@ -194,7 +270,7 @@ class Task:
                 found.append(self._expanded(parts, costs, few_nodes, interpolation))
         return sorted(found, key=lambda candidate: candidate.seconds)
 
-    def _expanded(self, parts: list[Part], costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
+    def _expanded(self, parts: list[SpotPart], costs: Costs, few_nodes: bool, interpolation: float) -> Candidate:
         def low_rank(places: PlanePoints) -> np.ndarray:
             return sum(
                 low_rank_sum(part.expansion, self.sources[part.members], self.weights[part.members], places)
@@ -207,17 +283,11 @@ class Task:
             for part in parts
         )
         ranks = [part.expansion.rank for part in parts]
-        name = f"NUFFT of rank {ranks[0]}"
-        if len(parts) > 1:
-            name = f"NUFFTs of rank {min(ranks)} to {max(ranks)} of {len(parts)} parts of the spot"
+        how = How(NUFFT, self.target.size, ranks=(min(ranks), max(ranks)), parts=len(parts))
         if few_nodes:
-            seconds += interpolation
-            return Candidate("NUFFT", f"{name} on {self._node_text}", seconds, lambda: self._on_nodes(low_rank))
-        return Candidate("NUFFT", f"{name} on all points", seconds, lambda: _in_parts(low_rank, self.target))
-
-    @property
-    def _node_text(self) -> str:
-        return f"{self.nodes.count[0]} x {self.nodes.count[1]} nodes of {self.target.size} points"
+            how, seconds = replace(how, nodes=self.nodes.count), seconds + interpolation
+            return Candidate(how, seconds, lambda: self._on_nodes(low_rank))
+        return Candidate(how, seconds, lambda: _in_parts(low_rank, self.target))
 
     def _exact(self, places: PlanePoints) -> np.ndarray:
         return direct_sum(self.path, self.sources, self.weights, places, self.wavelength, self.tolerance)
@@ -235,20 +305,26 @@ class Task:
                 return direct_sum(self.path, self.sources, self.weights, self.target, self.wavelength, self.tolerance)
             return self._reference(self.target).reshape(_shape(self.target))
 
-        name = f"every one of {len(self.sources) * self.target.size:.3g} pairs"
-        return Candidate("every pair", name, np.inf, field)
+        pairs = float(len(self.sources) * self.target.size)
+        return Candidate(How(EVERY_PAIR, self.target.size, pairs), np.inf, field)
 
     def _reference(self, places: PlaneGrid | PlanePoints) -> np.ndarray:
         return reference_sum(self.path, self.sources, self.weights, places.points(), self.wavelength)
 
-    def result(self, candidate: Candidate, why: str) -> SumResult:
+    def result(
+        self,
+        candidate: Candidate,
+        why: str,
+        slower: tuple[str, ...] = (),
+        missed: Sequence[tuple[str, float]] = (),
+    ) -> SumResult:
         """Does the sum and measures its relative L2 error on sampled points, against the exact float64 sum."""
         with np.errstate(divide="ignore", invalid="ignore"):  # told below
             field = candidate.field()
         flat = field.reshape(-1)
-        sample = Sample.of(flat, int(np.clip(SAMPLED_PAIRS // len(self.sources), 8, 64)))
+        sample = Sample.of(flat, int(np.clip(SAMPLED_PAIRS // len(self.sources), *SAMPLED_POINTS)))
         if not np.isfinite(sample.mean_square):
-            raise ValueError("a source lies on a point of the target: the field is infinite there, move one of the two")
+            raise InputError("a source lies on a point of the target: the field is infinite there, move one of the two")
         places = points_at(self.target, sample.index)
         if supports(self.path) and places.size * len(self.sources) > KERNEL_PAIRS:
             # In float64 throughout: the float32 angles of the sum that is judged must not judge themselves.
@@ -258,7 +334,10 @@ class Task:
         # The scale is the whole field's: a few points of a speckle pattern do not know it.
         scale = sample.mean_square or float(np.mean(np.abs(exact) ** 2)) or 1.0
         error = np.sqrt(np.mean(np.abs(flat[sample.index] - exact) ** 2 / sample.share) / scale)
-        return SumResult(field, f"{candidate.name} ({why})", float(np.hypot(error, self.path_error)))
+        seconds = candidate.seconds if np.isfinite(candidate.seconds) else None
+        how = replace(candidate.how, why=why, slower=slower, missed=tuple(missed), tolerance=self.tolerance,
+                      predicted_seconds=seconds)  # fmt: skip
+        return SumResult(field, how, float(np.hypot(error, self.path_error)))
 
 
 def _in_parts(evaluate: Callable[[PlanePoints], np.ndarray], target: PlaneGrid | PlanePoints) -> np.ndarray:

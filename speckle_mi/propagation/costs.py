@@ -2,7 +2,7 @@
 
 On processors the choice rests on recorded costs, so that the same scene takes the same way, and gives the same bits,
 on every machine and at any load: only their ratios matter. ``measured_costs`` is what recorded them, and what the
-benchmark prints beside them.
+benchmark prints beside them; on a graphics card a pair costs so much less that they have to be measured.
 """
 
 from __future__ import annotations
@@ -10,13 +10,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
-import finufft
 import numpy as np
 
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..machine.cores import usable_cores
+from ..machine.nufft import finufft
 from .area import Area
 from .bandlimited import NodeGrid, band_limited_sum
 from .direct import direct_sum
@@ -46,7 +45,10 @@ RECORDED = Costs(grid_pair=3.1e-10, point_pair=7e-10, nufft_point=3e-8, multiply
 
 
 def costs_of(variant: str) -> Costs:
-    """Costs on the back end of a Mitsuba variant: the recorded ones, or on a graphics card what it measures."""
+    """Costs on the back end of a Mitsuba variant: the recorded ones, or on a graphics card what it measures there.
+
+    That takes a few tenths of a second: whoever makes many sums asks once.
+    """
     return measured_costs(variant) if variant.startswith("cuda") else RECORDED
 
 
@@ -61,7 +63,6 @@ def _seconds(work: Callable[[], object]) -> float:
     return min(times)
 
 
-@lru_cache(maxsize=4)
 def measured_costs(variant: str) -> Costs:
     """Costs on the back end of the Mitsuba ``variant``, the active one, in a few tenths of a second."""
     random = np.random.default_rng(0)

@@ -18,11 +18,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import finufft
 import numpy as np
 
 from ..geometry.plane import PlaneGrid, PlanePoints
 from ..machine.cores import equal_slices, on_all_cores, usable_cores
+from ..machine.nufft import finufft
 from .area import Area
 from .chebyshev import TensorSeries, axis_tails, interpolation_matrix, tensor_coefficients, tensor_nodes
 from .paths import Path
@@ -145,7 +145,7 @@ def expand(
 
 
 @dataclass(frozen=True)
-class Part:
+class SpotPart:
     """An expansion and the sources that it is for: their indices or the slice of all, and how many."""
 
     expansion: LowRank
@@ -163,14 +163,14 @@ def expand_in_parts(
     tolerance: float,
     largest_table: int,
     most_parts: int,
-) -> list[Part] | None:
+) -> list[SpotPart] | None:
     """Expansions of all sources, or of halves, quarters, ... of too large a spot; None beyond ``most_parts``.
 
     box: around all sources.
     """
     whole = expand(path, sources, weights, target, box, wavelength, tolerance, largest_table)
     if whole is not None:
-        return [Part(whole, slice(None), len(sources))]
+        return [SpotPart(whole, slice(None), len(sources))]
     if len(sources) < SMALLEST_PART:
         return None
     waiting, parts = _halves(np.arange(len(sources)), sources, box), []
@@ -182,7 +182,7 @@ def expand_in_parts(
         box = SourceBox.around(some, target.u)
         expansion = expand(path, some, weights[members], target, box, wavelength, tolerance, largest_table)
         if expansion is not None:
-            parts.append(Part(expansion, members, len(members)))
+            parts.append(SpotPart(expansion, members, len(members)))
             continue
         if len(members) < SMALLEST_PART:
             return None

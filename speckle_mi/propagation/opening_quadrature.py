@@ -18,12 +18,12 @@ up to the given one, by Parseval's theorem A min(1, 2/(K R)) for a disc of area 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache
 
 import numpy as np
 from scipy import fft
 from scipy.special import jv, roots_legendre, spherical_jn
 
+from ..errors import InputError
 from ..geometry.frames import Frame
 from ..geometry.outline import Circle, Rectangle
 from ..geometry.plane import PlanePoints
@@ -68,6 +68,19 @@ def opening_nodes(
     )
 
 
+def estimated_nodes(
+    outline: Circle | Rectangle, phase_gradient: float | tuple[float, float], tilt: float | None = None
+) -> float:
+    """About how many nodes :func:`opening_nodes` takes, to within a factor of two where there are many."""
+    gradient = _gradient(phase_gradient)
+    if isinstance(outline, Rectangle):
+        return float(np.prod(gradient * outline.half_size / 2 + 8))
+    total = float(gradient[0])
+    across = total if tilt is None else min(total, float(_gradient(tilt)[0]))
+    rings = _change_along(across, total) * outline.radius / 4 + 8
+    return float(rings * (across * outline.radius / 2 + 24))
+
+
 def star_nodes(
     boundary: Callable[[np.ndarray], np.ndarray],
     frame: Frame,
@@ -94,7 +107,7 @@ def star_nodes(
     per_angle = float(np.max(np.hypot(across * radius, total * slope)))
     count = _gauss_count(_change_along(across, total) * widest / 2, error) + 1  # the area's t: one degree more
     _check_count(count, count * max(1.0, per_angle / 2))
-    t, radial = _gauss(count)
+    t, radial = roots_legendre(count)
     t, radial = (1 + t) / 2, radial / 2
     angles = _angle_counts(per_angle * t, error) + orders
     _check_count(count, float(np.sum(angles)))
@@ -126,19 +139,13 @@ def _rectangle_nodes(
     scale = np.sqrt(np.prod(np.minimum(1.0, np.pi / 2 / np.maximum(change, 1e-300))))
     counts = [_gauss_count(c, 0.5 * tolerance * scale) for c in change]
     _check_count(max(counts), float(np.prod(counts)))
-    (x, wx), (y, wy) = (_gauss(n) for n in counts)
+    (x, wx), (y, wy) = (roots_legendre(n) for n in counts)
     a, b = np.meshgrid(half[0] * x, half[1] * y, indexing="ij")
     return _on_plane(frame, a.ravel(), b.ravel()), np.multiply.outer(half[0] * wx, half[1] * wy).ravel()
 
 
 def _on_plane(frame: Frame, a: np.ndarray, b: np.ndarray) -> PlanePoints:
     return PlanePoints(np.asarray(frame.origin, dtype=np.float64), frame.axes[:, 0], frame.axes[:, 1], a, b)
-
-
-@lru_cache(maxsize=32)
-def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Legendre nodes and weights (count,) on [-1, 1]."""
-    return roots_legendre(count)
 
 
 def _amplitude_orders(error: float) -> int:
@@ -215,7 +222,7 @@ def _check(tolerance: float) -> None:
 
 def _check_count(along: int, nodes: float) -> None:
     if nodes > MOST_NODES or along > MOST_ALONG:
-        raise ValueError(
+        raise InputError(
             f"the opening needs {nodes:.3g} nodes, {along} along a line, must need at most {MOST_NODES:.3g} and "
             f"{MOST_ALONG}: it is too large, or its light too steep, for a diffraction integral"
         )

@@ -3,58 +3,72 @@
 from __future__ import annotations
 
 import math
-import os
-
-from rich import box
-from rich.console import Console
-from rich.table import Table
 
 from ..experiments.expectation import CENTRE_AXES
 from ..measurement.sensitivity import Sensitivity
 from .sweep_report import unit_of
+from .terminal import print_table, terminal
 
 _ROUNDS_TO_ZERO = 5e-5
+
+RESIDUALS = "†"
+"""Marks an interval that rests on the residuals of one surface, and the line below the tables that says so."""
 
 
 def print_report(summary: dict) -> None:
     """Prints the plan, the sensitivities on the detector and on the target's axes, and the errors."""
-    console = Console(width=None if os.isatty(1) else 120, highlight=False)
+    console = terminal()
     for line in summary["plan"]:
-        console.print(f"plan: {line}", markup=False)
+        console.print(f"plan: {line}")
     tables = [("On the detector", ("u", "v")), ("Projected on the target's axes", ("x", "y"))]
     if any(fit[axis].theory is not None for fit in summary["fits"].values() for axis in CENTRE_AXES):
         tables.append(("Centre of gravity on the detector", CENTRE_AXES))
     for title, axes in tables:
-        console.print(_sensitivity_table(title, axes, summary))
-    console.print(f"numerical error of the field {summary['numerical_error']:.1e} (relative L2, estimated); "
+        heads, rows = _sensitivity_table(axes, summary)
+        print_table(console, heads, rows, title=title, left=(0, 1))
+    for line in _foot_lines(summary["fits"], [axis for _, axes in tables for axis in axes]):
+        console.print(line)
+    console.print(f"numerical error of the field {_numerical_error(summary['numerical_error'])}; "
                   f"{summary['seconds_per_frame'] * 1e3:.3g} ms a frame (median); "
                   f"{summary['frames_without_shift']} of {summary['frames']} frames without a significant shift")
     for dof, fitted in summary["fits"].items():
         for note in dict.fromkeys(fitted[axis].note for axis in ("u", "v") if fitted[axis].note):
             console.print(f"{dof}: {note}", markup=False)
     for warning, count in summary["warnings"].items():
-        console.print(f"warning: {warning} ({count} frames)", markup=False)
+        console.print(f"warning: {warning} ({count} frames)")
     for dof, note in ((summary["paper"] or {}).get("notes") or {}).items():
-        console.print(f"paper, {dof}: {note}", markup=False)
+        console.print(f"paper, {dof}: {note}")
 
 
-def _sensitivity_table(title: str, axes: tuple[str, str], summary: dict) -> Table:
-    """A row a motion: simulated and theoretical sensitivity along two axes, scatter, and the paper's figure if any."""
+def _sensitivity_table(axes: tuple[str, str], summary: dict) -> tuple[list[str], list[list[str]]]:
+    """Heads and a row a motion: simulated and theoretical sensitivity along two axes, scatter, the paper's if any."""
     comparison = summary["paper"]
     published = comparison is not None and any(entry["axis"] in axes for entry in comparison["figures"].values())
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
     heads = ["motion", "unit", *(f"{axis} {kind}" for axis in axes for kind in ("simulated", "theory")), "scatter (um)"]
-    for number, head in enumerate([*heads, *(["paper"] if published else [])]):
-        table.add_column(head, justify="left" if number < 2 else "right")
+    rows = []
     for dof, fitted in summary["fits"].items():
         row = [dof, unit_of(dof)]
         for axis in axes:
             row += [_with_interval(fitted[axis]), number(fitted[axis].theory)]
         row.append(" / ".join(number(fitted[axis].scatter_um, "{:.1f}") for axis in axes))
-        if published:
-            row.append(_paper_cell(comparison, dof, axes))
-        table.add_row(*row)
-    return table
+        rows.append([*row, _paper_cell(comparison, dof, axes)] if published else row)
+    return [*heads, *(["paper"] if published else [])], rows
+
+
+def _foot_lines(fits: dict[str, dict[str, Sensitivity]], axes: list[str]) -> list[str]:
+    """What has to be known of the sensitivities along ``axes``, a line for each note with the cells it belongs to."""
+    cells: dict[tuple[str, str], list[str]] = {}
+    for dof, fitted in fits.items():
+        for axis in axes:
+            if fitted[axis].note:
+                mark = RESIDUALS if fitted[axis].basis == "residuals" else f"{dof} along"
+                cells.setdefault((mark, fitted[axis].note), []).append(axis)
+    return [f"{mark} {note}" if mark == RESIDUALS else f"{mark} {', '.join(where)}: {note}"
+            for (mark, note), where in cells.items()]  # fmt: skip
+
+
+def _numerical_error(error: float) -> str:
+    return f"{error:.1e} (relative L2, estimated)" if math.isfinite(error) else "not known"
 
 
 def _paper_cell(comparison: dict, dof: str, axes: tuple[str, ...]) -> str:
@@ -68,7 +82,9 @@ def _with_interval(fit: Sensitivity) -> str:
     if not math.isfinite(fit.value):
         return "not measured"
     low, high = fit.ci95
-    return f"{fit.value:+.4f} ± {(high - low) / 2:.4f}" if math.isfinite(low) else f"{fit.value:+.4f}"
+    if not math.isfinite(low):
+        return f"{fit.value:+.4f}"
+    return f"{fit.value:+.4f} ± {(high - low) / 2:.4f}" + (RESIDUALS if fit.basis == "residuals" else "")
 
 
 def number(value: float | None, form: str = "{:+.4f}") -> str:

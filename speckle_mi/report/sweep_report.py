@@ -13,11 +13,12 @@ import numpy as np
 
 from ..experiments import published as paper
 from ..experiments.expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_correlation, expected_sensitivity
-from ..experiments.sweep import FrameRecord, SweepResult, SweepSettings
+from ..experiments.sweep_result import FrameRecord, SweepResult, SweepSettings
 from ..geometry.pose import DEGREES_OF_FREEDOM, is_rotation
 from ..machine.files import replacing, write_json
 from ..machine.system import system_information
 from ..measurement.sensitivity import Sensitivity, fit_sensitivity
+from ..plan.stage import Stage
 from ..scene.assembly import Assembly
 from .plots import plot_decorrelation, plot_shifts, plot_speckle
 
@@ -53,8 +54,10 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
     lost = sum(record.status != "ok" for record in result.records)
     return {
         "axes": {"u": grid.u.tolist(), "v": grid.v.tolist()},
+        "axes_as_seen": result.axes_as_seen,
         "target_axes": {name: assembly.target.frame.axes[:, k].tolist() for k, name in enumerate("xyz")},
-        "plan": result.plan,
+        "plan": [str(Stage.from_json(stage)) for stage in result.stages],
+        "stages": result.stages,
         "frames": len(result.records),
         "frames_without_shift": lost,
         "seconds_per_frame": float(np.median(frames)) if frames else math.nan,

@@ -13,11 +13,13 @@ from dataclasses import dataclass, field
 import drjit as dr
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.frames import Frame
 from ..machine.backend import arrays, opaque, opaque_vector
 from . import hashing
 from .beam import Beam, BeamKernel
 from .facets import Facets
+from .footprint import footprint_bounds
 
 MAX_CELLS = 100_000_000
 """Most cells that one frame may look at (about 5 GB of memory at the peak)."""
@@ -40,6 +42,14 @@ class RoughSurface:
     correlation_length: float
     seed: int
 
+    def scatterers(self, beam: Beam, frame: Frame) -> SurfaceScatterers:
+        """The scatterers of all cells that the beam may reach with the surface at ``frame``: the material alone.
+
+        ``surface.scatterers(beam, frame).at(frame).lit_by(beam)`` are those under the beam with the light on them.
+        Raises ValueError when more than :data:`MAX_CELLS` cells would have to be looked at.
+        """
+        return SurfaceScatterers(self, _cells_under_beam(self, beam, frame))
+
 
 @dataclass(frozen=True)
 class PointScatterers:
@@ -48,13 +58,31 @@ class PointScatterers:
     points: np.ndarray
     weights: np.ndarray
 
+    def at(self, frame: Frame) -> PlacedPoints:
+        """The scatterers with the target at ``frame``."""
+        return PlacedPoints(self, frame)
+
+
+@dataclass(frozen=True)
+class PlacedPoints:
+    """The user's own scatterers where they are in the world."""
+
+    scatterers: PointScatterers
+    frame: Frame
+
+    def lit_by(self, beam: Beam) -> Scatterers:
+        """All of them, with the beam's field times their weight."""
+        position = self.frame.to_world(self.scatterers.points)
+        normal = np.broadcast_to(self.frame.axes[:, 2], position.shape)
+        return Scatterers(position, beam.field(position) * self.scatterers.weights, normal)
+
 
 @dataclass(frozen=True)
 class Scatterers:
     """Point sources under the beam at one pose.
 
     position: (n, 3) [mm], world; amplitude: (n,) complex128, the illumination there times the scatterer's weight;
-    normal: (n, 3) world unit normal of the mean surface at each scatterer.
+    normal: (n, 3) world unit normal of the mean surface at each scatterer, one row repeated where it is plane.
     """
 
     position: np.ndarray
@@ -65,54 +93,21 @@ class Scatterers:
     def count(self) -> int:
         return len(self.amplitude)
 
+    @property
+    def on_plane(self) -> bool:
+        """Whether all lie on one plane facet, whose normal is stored once."""
+        return self.count > 0 and self.normal.strides[0] == 0
+
     def selected(self, keep: np.ndarray) -> Scatterers:
-        """Those where ``keep`` (n,) is true."""
-        return Scatterers(self.position[keep], self.amplitude[keep], self.normal[keep])
-
-
-def illuminated_points(scatterers: PointScatterers, beam: Beam, frame: Frame) -> Scatterers:
-    """The user's own scatterers with the target at ``frame``."""
-    position = frame.to_world(scatterers.points)
-    normal = np.broadcast_to(frame.axes[:, 2], position.shape)
-    return Scatterers(position, beam.field(position) * scatterers.weights, normal)
+        """Those where ``keep`` (n,) is true, or that ``keep`` numbers."""
+        position = self.position[keep]
+        normal = np.broadcast_to(self.normal[0], position.shape) if self.on_plane else self.normal[keep]
+        return Scatterers(position, self.amplitude[keep], normal)
 
 
 def illuminated_scatterers(surface: RoughSurface, beam: Beam, frame: Frame) -> Scatterers:
-    """Scatterers of ``surface`` that the beam reaches with the target at ``frame``.
-
-    Raises ValueError when more than :data:`MAX_CELLS` cells would have to be looked at.
-    """
-    cells = _cells_under_beam(surface, beam, frame)
-    if cells.total == 0:
-        return Scatterers(np.zeros((0, 3)), np.zeros(0, complex), np.zeros((0, 3)))
-    lanes = arrays()
-    lane = dr.arange(lanes.UInt32, cells.total)
-    facets = _FacetKernel(surface, cells, frame, lane)
-    local, mean = facets.material_place()
-    height = facets.height(local)
-    beam_kernel = BeamKernel(beam)
-    position = mean + height * facets.normal
-    to_source, real, imaginary = beam_kernel.evaluate(position)
-    lit = facets.inside & (dr.dot(to_source, facets.normal) > 0)
-    if np.isfinite(beam.radius):
-        lit &= beam_kernel.across_squared(mean) <= beam_kernel.cutoff * beam_kernel.cutoff
-    # Everything is computed for all cells at once in one kernel; then those under the beam are picked.
-    amplitude = lanes.Array2f64(real, imaginary)
-    curved = surface.facets.count > 1
-    dr.eval(lit, position, amplitude, facets.normal if curved else ())
-    index = dr.compress(lit)
-    # Interleaved on the device: NumPy only looks at the result.
-    picked = [
-        dr.ravel(dr.gather(type(value), value, index))
-        for value in (position, amplitude, *((facets.normal,) if curved else ()))
-    ]
-    dr.eval(picked)
-    places, amplitudes, *normals = (value.numpy() for value in picked)
-    places = places.reshape(-1, 3)
-    normal = normals[0].reshape(-1, 3) if curved else np.broadcast_to(
-        frame.axes @ surface.facets.normal[0], places.shape
-    )
-    return Scatterers(places, amplitudes.view(np.complex128), normal)
+    """Scatterers of ``surface`` that the beam reaches with the target at ``frame``."""
+    return surface.scatterers(beam, frame).at(frame).lit_by(beam)
 
 
 @dataclass(frozen=True)
@@ -131,7 +126,7 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     pitch = surface.density**-0.5
     lower, upper = facets.bounds[:, 0::2].copy(), facets.bounds[:, 1::2].copy()
     if np.isfinite(beam.radius):
-        centre, half = _footprint(facets, beam, frame)
+        centre, half = footprint_bounds(facets, beam, frame)
         lower, upper = np.fmax(lower, centre - half), np.fmin(upper, centre + half)
     meets = np.all(upper > lower, axis=1)
     first = np.floor(lower[meets] / pitch)
@@ -139,7 +134,7 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     count = np.prod(size, axis=1)
     total = float(np.sum(count))
     if total > MAX_CELLS:
-        raise ValueError(
+        raise InputError(
             f"the target's scatterers: about {total:.2g} lie under the beam or on the patch "
             f"(some {total * 50 / 1e9:.3g} GB), must be at most {MAX_CELLS:.0e}: reduce point_sources or the lit area"
         )
@@ -149,97 +144,91 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     )
 
 
-def _footprint(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarray, np.ndarray]:
-    """Centre (f, 2) and half-widths (f, 2) [mm] of the beam's elliptic footprint in each facet's coordinates.
+class SurfaceScatterers:
+    """Scatterers as parts of the material, one cell of the lattice each: who they are, where on it, how high.
 
-    A point c + a e1 + b e2 lies within the radius R of the axis where (a, b) M (a, b)^T <= R^2 with
-    M = E^T (1 - b b^T) E; its bounding box has the half-widths R sqrt(diag(M^-1)). Where the beam grazes
-    the facet they are infinite.
+    Dr.Jit expressions in the target's own frame; nothing is computed before they are placed and lit, or looked at.
     """
-    axis = frame.axes.T @ beam.axis
-    reference = frame.to_local(beam.reference[None])[0]
-    basis = np.stack([facets.e1, facets.e2], axis=-1)  # (f, 3, 2)
-    along = np.einsum("k,fkc->fc", axis, basis)
-    metric = np.eye(2) - along[:, :, None] * along[:, None, :]
-    # The nearest approach of the axis to the facet's plane, by least squares:
-    # M s = E^T (1 - b b^T) (reference - origin).
-    offset = reference - facets.origin
-    offset = offset - (offset @ axis)[:, None] * axis
-    right = np.einsum("fk,fkc->fc", offset, basis)
-    determinant = metric[:, 0, 0] * metric[:, 1, 1] - metric[:, 0, 1] ** 2
-    with np.errstate(divide="ignore", invalid="ignore"):
-        inverse = np.stack([metric[:, 1, 1], metric[:, 0, 0]], axis=1) / determinant[:, None]
-        crossed = -metric[:, 0, 1] / determinant
-        centre = inverse * right + crossed[:, None] * right[:, ::-1]
-        half = beam.cutoff * np.sqrt(inverse)
-    grazing = determinant < 1e-12
-    return np.where(grazing[:, None], 0.0, centre), np.where(grazing[:, None], np.inf, half)
 
-
-class _FacetKernel:
-    """Material cells as Dr.Jit expressions, one cell a lane."""
-
-    def __init__(self, surface: RoughSurface, cells: _Cells, frame: Frame, lane) -> None:
-        lanes = arrays()
-        self.lanes, self.surface, self.frame = lanes, surface, frame
-        facets = surface.facets
+    def __init__(self, surface: RoughSurface, cells: _Cells) -> None:
+        self.surface, self.cells = surface, cells
+        if cells.total == 0:
+            return
+        lanes = self.lanes = arrays()
+        facets, lane = surface.facets, dr.arange(lanes.UInt32, cells.total)
         if len(cells.facet) == 1:
-            row, block = None, lane
+            self.row, block = None, lane
         else:
-            row = lanes.UInt32(np.repeat(np.arange(len(cells.facet), dtype=np.uint32), np.prod(cells.size, axis=1)))
-            block = lane - self._of_row(cells.start.astype(np.uint32), row, lanes.UInt32)
-        width = self._of_row(cells.size[:, 0].astype(np.float64), row)
+            self.row = lanes.UInt32(np.repeat(np.arange(len(cells.facet), dtype=np.uint32), np.prod(cells.size, axis=1)))
+            block = lane - self.of_row(cells.start.astype(np.uint32), lanes.UInt32)
+        width = self.of_row(cells.size[:, 0].astype(np.float64))
         # An integer division would trap in the padding lanes of the last packet, whose divisor is zero.
         down = lanes.UInt32(dr.floor((lanes.Float64(block) + 0.5) / width))
-        first = [self._of_row(cells.first[:, k], row, lanes.Int64) for k in range(2)]
+        first = [self.of_row(cells.first[:, k], lanes.Int64) for k in range(2)]
         self.cell = [lanes.Int64(block - down * lanes.UInt32(width)) + first[0], lanes.Int64(down) + first[1]]
-        self.facet_number = self._of_row(cells.facet.astype(np.uint64), row, lanes.UInt64)
-        axes = frame.axes
-        self.local = {name: self._vectors(getattr(facets, name)[cells.facet], row) for name in ("origin", "e1", "e2")}
-        self.normal = self._vectors(facets.normal[cells.facet] @ axes.T, row)
-        self.edges = [[self._of_row(facets.edges[cells.facet, e, k], row) for k in range(3)] for e in range(4)]
-        self.seed = dr.opaque(lanes.UInt64, hashing.seed_word(surface.seed))
-
-    def _of_row(self, values: np.ndarray, row, kind: type | None = None):
-        kind = kind or self.lanes.Float64
-        if row is None:
-            return dr.opaque(kind, values[0].item())
-        return dr.gather(kind, kind(np.ascontiguousarray(values)), row)
-
-    def _vectors(self, values: np.ndarray, row):
-        return self.lanes.Array3f64(*(self._of_row(values[:, k], row) for k in range(3)))
-
-    def material_place(self):
-        """(local, world): place of each scatterer on the mean surface, in the target frame and in the world."""
-        lanes = self.lanes
-        words = [self.facet_number, *(lanes.UInt64(cell) for cell in self.cell)]
-        self.key = hashing.cell_key(self.seed, *words, kind=lanes.UInt64)
-        pitch = opaque(self.surface.density**-0.5)
-        a, b = ((lanes.Float64(cell) + self.uniform(self.key, stream)) * pitch
-                for cell, stream in zip(self.cell, (_PLACE_U, _PLACE_V), strict=True))
+        self.facet = self.of_row(cells.facet.astype(np.uint64), lanes.UInt64)
+        seed = dr.opaque(lanes.UInt64, hashing.seed_word(surface.seed))
+        self.key = hashing.cell_key(seed, self.facet, *(lanes.UInt64(cell) for cell in self.cell), kind=lanes.UInt64)
+        pitch = opaque(surface.density**-0.5)
+        a, b = ((lanes.Float64(cell) + self._uniform(self.key, stream)) * pitch
+                for cell, stream in zip(self.cell, (_PLACE_U, _PLACE_V), strict=True))  # fmt: skip
         self.inside = lanes.Bool(True)
-        for p, q, r in self.edges:
+        for e in range(4):
+            p, q, r = (self.of_row(facets.edges[cells.facet, e, k]) for k in range(3))
             self.inside &= p * a + q * b <= r
-        local = self.local["origin"] + a * self.local["e1"] + b * self.local["e2"]
-        axes = [opaque_vector(self.frame.axes[:, k]) for k in range(3)]
-        world = opaque_vector(self.frame.origin) + local.x * axes[0] + local.y * axes[1] + local.z * axes[2]
-        return local, world
+        origin, e1, e2 = (self.vectors(getattr(facets, name)[cells.facet]) for name in ("origin", "e1", "e2"))
+        self.place = origin + a * e1 + b * e2
+        self.height = self._height()
 
-    def height(self, local):
+    @property
+    def total(self) -> int:
+        """Cells that are looked at."""
+        return self.cells.total
+
+    def at(self, frame: Frame) -> PlacedScatterers:
+        """The scatterers with the target at ``frame``."""
+        return PlacedScatterers(self, frame)
+
+    def to_numpy(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Who they are (n, 3): facet and cell along its e1 and e2; place (n, 3) on the mean surface and height (n,) [mm].
+
+        Those whose place lies on their facet.
+        """
+        if self.total == 0:
+            return np.zeros((0, 3), np.int64), np.zeros((0, 3)), np.zeros(0)
+        dr.eval(self.inside, self.facet, self.cell, self.place, self.height)
+        inside = np.broadcast_to(self.inside.numpy(), (self.total,))
+        who = [np.broadcast_to(part.numpy().astype(np.int64), (self.total,)) for part in (self.facet, *self.cell)]
+        place = np.broadcast_to(np.asarray(self.place).T, (self.total, 3))
+        height = np.broadcast_to(self.height.numpy(), (self.total,))
+        return np.stack(who, axis=1)[inside], place[inside], height[inside]
+
+    def of_row(self, values: np.ndarray, kind: type | None = None):
+        """What a facet's cells share, one a lane."""
+        kind = kind or self.lanes.Float64
+        if self.row is None:
+            return dr.opaque(kind, values[0].item())
+        return dr.gather(kind, kind(np.ascontiguousarray(values)), self.row)
+
+    def vectors(self, values: np.ndarray):
+        """Vectors (f, 3) that a facet's cells share, one a lane."""
+        return self.lanes.Array3f64(*(self.of_row(values[:, k]) for k in range(3)))
+
+    def _height(self):
         """Heights [mm]: Gaussian, independent or with a Gaussian autocorrelation."""
         rms = opaque(self.surface.roughness)
         if self.surface.correlation_length == 0:
-            return rms * self.gaussian(self.key)
+            return rms * self._gaussian(self.key)
         dimensions = 2 if self.surface.facets.count == 1 else 3
-        return rms * self._correlated([local.x, local.y, local.z][:dimensions])
+        return rms * self._correlated([self.place.x, self.place.y, self.place.z][:dimensions])
 
-    def uniform(self, key, stream: int):
+    def _uniform(self, key, stream: int):
         return self.lanes.Float64(hashing.uniform_bits(key, stream, self.lanes.UInt64)) * 2.0**-53
 
-    def gaussian(self, key):
+    def _gaussian(self, key):
         """Standard normal deviates by Box and Muller's transform."""
-        radius = dr.sqrt(-2 * dr.log(1 - self.uniform(key, _HEIGHT_RADIUS)))
-        return radius * dr.cos(2 * np.pi * self.uniform(key, _HEIGHT_ANGLE))
+        radius = dr.sqrt(-2 * dr.log(1 - self._uniform(key, _HEIGHT_RADIUS)))
+        return radius * dr.cos(2 * np.pi * self._uniform(key, _HEIGHT_ANGLE))
 
     def _correlated(self, place):
         """Unit-variance Gaussian noise with autocorrelation exp(-r^2/l^2) at places given by 2 or 3 coordinates.
@@ -259,7 +248,7 @@ class _FacetKernel:
             distance = sum((c - lanes.Float64(k)) ** 2 for c, k in zip(scaled, cell, strict=True))
             weight = dr.exp(-0.5 * distance)
             key = hashing.cell_key(seed, *(lanes.UInt64(k) for k in cell), kind=lanes.UInt64)
-            return number + 1, total + weight * self.gaussian(key), squares + weight * weight
+            return number + 1, total + weight * self._gaussian(key), squares + weight * weight
 
         nodes = reach ** len(place)
         zero = dr.zeros(lanes.Float64, dr.width(scaled[0]))
@@ -267,3 +256,44 @@ class _FacetKernel:
             (lanes.UInt32(0), zero, zero + 0), lambda number, *_: number < nodes, step, label="correlated heights"
         )
         return total * dr.rsqrt(squares)
+
+
+class PlacedScatterers:
+    """Scatterers of the material where they are in the world."""
+
+    def __init__(self, material: SurfaceScatterers, frame: Frame) -> None:
+        self.material, self.frame = material, frame
+
+    def lit_by(self, beam: Beam) -> Scatterers:
+        """Those on their facet, on the side of the light and within the beam, with its field on them."""
+        material, frame = self.material, self.frame
+        if material.total == 0:
+            return Scatterers(np.zeros((0, 3)), np.zeros(0, complex), np.zeros((0, 3)))
+        facets, lanes = material.surface.facets, material.lanes
+        local, axes = material.place, [opaque_vector(frame.axes[:, k]) for k in range(3)]
+        mean = opaque_vector(frame.origin) + local.x * axes[0] + local.y * axes[1] + local.z * axes[2]
+        normal = material.vectors(facets.normal[material.cells.facet] @ frame.axes.T)
+        position = mean + material.height * normal
+        kernel = BeamKernel(beam)
+        to_source, real, imaginary = kernel.evaluate(position)
+        lit = material.inside & (dr.dot(to_source, normal) > 0)
+        if np.isfinite(beam.radius):
+            lit &= kernel.within(mean)
+        # Everything is computed for all cells at once in one kernel; then those under the beam are picked.
+        amplitude = lanes.Array2f64(real, imaginary)
+        curved = facets.count > 1
+        dr.eval(lit, position, amplitude, normal if curved else ())
+        index = dr.compress(lit)
+        # Interleaved on the device: NumPy only looks at the result.
+        picked = [
+            dr.ravel(dr.gather(type(value), value, index))
+            for value in (position, amplitude, *((normal,) if curved else ()))
+        ]
+        dr.eval(picked)
+        places, amplitudes, *normals = (value.numpy() for value in picked)
+        places = places.reshape(-1, 3)
+        if curved:
+            return Scatterers(places, amplitudes.view(np.complex128), normals[0].reshape(-1, 3))
+        return Scatterers(
+            places, amplitudes.view(np.complex128), np.broadcast_to(frame.axes @ facets.normal[0], places.shape)
+        )

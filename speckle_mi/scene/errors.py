@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+from ..errors import InputError
+
 
 def one_line(error: BaseException) -> str:
     """An error's message in one line, with Mitsuba's location of the fault but without the traceback it wraps."""
@@ -29,5 +31,5 @@ def one_line(error: BaseException) -> str:
     return f"{place.group(1)}: {reason}" if place else reason
 
 
-class SceneError(ValueError):
+class SceneError(InputError):
     """Something in a scene that cannot be used; the message says what and what would be right."""

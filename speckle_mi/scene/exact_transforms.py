@@ -1,17 +1,23 @@
-"""Double-precision transforms of stock shapes, which Mitsuba itself keeps in single precision.
+"""What Mitsuba's loaders lose of a scene: transforms in double precision, single shapes, and how a material is made.
 
 A mirror whose normal is rounded to single precision tilts by 3e-8 rad: thousandths of a wavelength at the
-detector. While a scene is loaded its file is therefore parsed a second time, and the transforms are kept with
-the scene's rough target.
+detector. A scene with a rough target is therefore parsed a second time while it is loaded, and what was read is kept
+with the target. Whether it has one is seen from its text; any other scene is loaded by Mitsuba alone.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from types import ModuleType
 
 import numpy as np
+
+from .bsdf_recipe import bsdf_recipe
+from .source import NotReadable, source_of_file, source_of_string, types_in_dict
+from .stated_indices import stated_indices
+
+TARGET = "rough_target"
 
 _MARK = "remembers_transforms"
 _LOADERS = {"load_file": "parse_file", "load_string": "parse_string", "load_dict": "parse_dict"}
@@ -32,27 +38,50 @@ def remember_transforms(mitsuba: ModuleType) -> None:
 def _remembering(mitsuba: ModuleType, load: Callable, parse: str) -> Callable:
     @functools.wraps(load)
     def loading(source, *arguments, **parameters):
-        if mitsuba.variant() is None:
+        values = {name: str(value) for name, value in parameters.items() if name not in _NOT_FOR_THE_PARSER}
+        if mitsuba.variant() is None or not _may_hold_a_target(source, values, parse):
             return load(source, *arguments, **parameters)
         config = mitsuba.parser.ParserConfig(mitsuba.variant())
-        values = {name: str(value) for name, value in parameters.items() if name not in _NOT_FOR_THE_PARSER}
         try:
-            nodes = list(getattr(mitsuba.parser, parse)(config, source, **values).nodes)
+            state = getattr(mitsuba.parser, parse)(config, source, **values)
+            nodes = list(state.nodes)
         except Exception:  # the loader itself says best what is wrong with the source
             return load(source, *arguments, **parameters)
-        if not any(node.props.plugin_name() == "rough_target" for node in nodes):
+        if not any(node.props.plugin_name() == TARGET for node in nodes):
             return load(source, *arguments, **parameters)
         # Merging shapes of one material into one mesh, Mitsuba's default, would take mirrors and plates apart.
-        scene = load(source, *arguments, **{"optimize": False, **parameters})
-        for shape in scene.shapes() if isinstance(scene, mitsuba.Scene) else ():
-            if hasattr(shape, "precise_transforms"):
-                shape.precise_transforms = {
-                    node.props.id(): _matrix(node.props) for node in nodes if node.props.id() and _is_placed(node.props)
-                }
-        return scene
+        loaded = load(source, *arguments, **{"optimize": False, **parameters})
+        indices = stated_indices(nodes)
+        for target in _targets(loaded, mitsuba):
+            target.precise_transforms = {
+                node.props.id(): _matrix(node.props) for node in nodes if node.props.id() and _is_placed(node.props)
+            }
+            target.stated_indices = indices
+            target.bsdf_recipe = bsdf_recipe(state, target.id())
+        return loaded
 
     setattr(loading, _MARK, True)
     return loading
+
+
+def _may_hold_a_target(source, values: Mapping[str, str], parse: str) -> bool:
+    """Whether a scene names a rough target; True also where its text cannot be looked through."""
+    try:
+        if parse == "parse_dict":
+            return TARGET in types_in_dict(source)
+        looked = (source_of_file if parse == "parse_file" else source_of_string)(source, values)
+    except (NotReadable, TypeError, ValueError, AttributeError):  # not even of the type that a loader takes
+        return True
+    return TARGET in looked.types
+
+
+def _targets(loaded, mitsuba: ModuleType) -> Iterator:
+    """The rough targets of what was loaded: a scene, a shape or a list of them."""
+    if isinstance(loaded, mitsuba.Scene):
+        loaded = loaded.shapes()
+    for shape in loaded if isinstance(loaded, (list, tuple)) else (loaded,):
+        if hasattr(shape, "precise_transforms"):
+            yield shape
 
 
 def _is_placed(props) -> bool:

@@ -13,6 +13,7 @@ from .displacement import (
     per_degree,
     project_on_target,
     spot_displacement,
+    system_displacement,
 )
 from .paraxial import CardinalPoints, cardinal_points, entrance_pupil, exit_pupil, paraxial_image, system_matrix
 from .speckle import (
@@ -45,5 +46,7 @@ __all__ = [
     "shift_scatter",
     "speckle_shape_gaussian_beam",
     "speckle_size_gaussian_beam",
+    "spot_displacement",
+    "system_displacement",
     "system_matrix",
 ]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import InputError
+
 UNIT_TOLERANCE = 1e-6
 """How far the length of a direction, or a right angle, may be off [1]; scene files give about seven digits."""
 
@@ -33,7 +35,7 @@ def require_positive(name: str, value: float) -> float:
 def require_lit(to_laser: np.ndarray, normal: np.ndarray) -> None:
     """ValueError where light along a unit vector (3,) grazes the surface of unit ``normal`` (3,)."""
     if abs(to_laser @ normal) < GRAZING_COSINE:
-        raise ValueError(f"grazing illumination: source_direction {text(to_laser)} lies in the surface, must leave it")
+        raise InputError(f"grazing illumination: source_direction {text(to_laser)} lies in the surface, must leave it")
 
 
 def unit(name: str, vector: np.ndarray) -> np.ndarray:

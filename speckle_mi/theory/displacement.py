@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.rotation import cross_matrix, vectors_across
 from .directions import (
     GRAZING_COSINE,
@@ -74,26 +75,78 @@ def first_order_displacement(
 def _plane_displacement(spot, origin, axes, source_direction, wavefront_radius, sight, distance, plane, normal):
     """(2, 6) displacement on a plane with axes ``plane`` (3, 2), ``distance`` [mm, signed] along ``sight``.
 
-    The first-order condition times the distance, which leaves nothing to divide by when the plane nears the surface:
-    t (1 - l l^T) T alpha = t [(1 - l l^T + L_O Q_S) a + L_O Omega x (l_S + l)].
+    Seen across the line of sight, a ray's end moves on the plane as its beginning does, and by the distance per tilt.
     """
-    axes = frame_axes(axes)
-    to_laser = unit("source_direction", source_direction)
-    normal = axes[:, 2] if normal is None else unit("normal", normal)
-    tangents = vectors_across(normal)
-    across = across_direction(sight)
     plane_normal = np.cross(plane[:, 0], plane[:, 1])
-    for name, cosine in (("target", sight @ normal), ("detector", sight @ plane_normal)):
-        if abs(cosine) < GRAZING_COSINE:
-            raise ValueError(
-                f"grazing detection: the line of sight {text(sight)} lies in the {name} plane (cosine to its normal "
-                f"{cosine:.1e}), must be inclined to it"
-            )
+    _require_view("detector", sight, plane_normal)
+    across = vectors_across(sight)
+    foreshortened = np.linalg.inv(across @ plane)
+    return system_displacement(
+        spot, origin, axes, source_direction, wavefront_radius, sight, across, foreshortened, distance * foreshortened, normal
+    )
+
+
+def system_displacement(
+    spot: np.ndarray,
+    origin: np.ndarray,
+    axes: np.ndarray,
+    source_direction: np.ndarray,
+    wavefront_radius: float,
+    line_of_sight: np.ndarray,
+    across: np.ndarray,
+    magnification: np.ndarray,
+    lever: np.ndarray,
+    normal: np.ndarray | None = None,
+) -> np.ndarray:
+    """Displacement of the pattern behind any optics, astigmatic or not, per unit rigid motion of the target.
+
+    Let V(P, D) be the optical path from P on the target to D on the detector, and psi(P) that of the light from the
+    laser. The ray from P to D leaves along l, so that grad_P V = -l; grad psi = -l_S. A motion a(P) = translation +
+    Omega x (P - origin) changes the path of the scatterer at P by (grad psi + grad V).a, and the pattern reappears at
+    D + A where the change of the whole path has no gradient along the surface (a constant is of no account): for every
+    s in it
+
+        s.[V_PD A + d/dP((grad psi + grad V).a)] = 0.
+
+    Rays tell the second derivatives of V. The end of a ray moves by M per shift of its beginning across l, and by B, the
+    lever, per tilt dl of it: dD = M dP + B dl. At fixed P that is V_PD dD = -dl = -B^-1 dD, at fixed D it is
+    V_PP dP = -dl = B^-1 M dP. With Q_S = (1 - l_S l_S^T)/L_S the Hessian of psi, and dl standing for B^-1 (A - M a),
+
+        alpha = M (a across l) + B dl,    t.dl = t.[Q_S a + Omega x (l_S + l)],
+
+    t the tangents at the spot: two equations for dl, which lies across l. Nothing is divided by the lever, so that it
+    may vanish in one direction or in both: M a is all of the motion in focus. Off its axis a system's lever differs in
+    the tangential and the sagittal direction. In free space M = 1, B = L_O, see `first_order_displacement`. Ref. [1].
+
+    spot ... wavefront_radius, normal: as in `first_order_displacement`. line_of_sight: (3,) unit vector l of the chief
+    ray at the spot. across: (2, 3) unit vectors at right angles to it and to each other. magnification: (2, 2) M [mm/mm]
+    and lever: (2, 2) B [mm/rad], to (u, v) on the detector from components along ``across``.
+
+    Limits: those of `imaging_displacement`. Returns (2, 6) [mm/mm], [mm/rad]. Raises ValueError as
+    `first_order_displacement`, or for a matrix that is not (2, 2) and finite.
+    """
+    for name, matrix in (("magnification", magnification), ("lever", lever)):
+        if np.shape(matrix) != (2, 2) or not np.all(np.isfinite(matrix)):
+            raise ValueError(f"{name} {matrix!r}: must be a (2, 2) matrix of finite numbers")
+    axes = frame_axes(axes)
+    to_laser, sight = unit("source_direction", source_direction), unit("line_of_sight", line_of_sight)
+    normal = axes[:, 2] if normal is None else unit("normal", normal)
+    _require_view("target", sight, normal)
+    tangents = vectors_across(normal)
     material = _motion_of_point(spot, origin, axes)
     turned = np.hstack([np.zeros((3, 3)), -cross_matrix(to_laser + sight) @ axes])
-    illumination = distance * wave_curvature(wavefront_radius) * across_direction(to_laser)
-    change = (across + illumination) @ material + distance * turned
-    return np.linalg.solve(tangents @ across @ plane, tangents @ change)
+    change = wave_curvature(wavefront_radius) * across_direction(to_laser) @ material + turned
+    tilt = np.linalg.solve(tangents @ across.T, tangents @ change)
+    return magnification @ across @ material + lever @ tilt
+
+
+def _require_view(name: str, sight: np.ndarray, normal: np.ndarray) -> None:
+    """ValueError where the line of sight lies in the plane of unit ``normal`` that is called ``name``."""
+    if abs(sight @ normal) < GRAZING_COSINE:
+        raise InputError(
+            f"grazing detection: the line of sight {text(sight)} lies in the {name} plane (cosine to its normal "
+            f"{sight @ normal:.1e}), must be inclined to it"
+        )
 
 
 def per_degree(matrix: np.ndarray) -> np.ndarray:
@@ -128,7 +181,8 @@ def imaging_displacement(
     A lens images a plane in object space on the detector; the pattern on that plane moves as in free space at the
     distance dL from the surface, and the lens magnifies it: alpha = M alpha_object(L_O -> dL). In focus, dL = 0, the
     condition becomes t (1 - l l^T) (T alpha_object - a) = 0: alpha = M times the motion seen across the line of sight,
-    whatever the illumination, and tilt about the spot has no effect. No division by dL occurs at any dL.
+    whatever the illumination, and tilt about the spot has no effect. No division by dL occurs at any dL. Where the
+    defocus depends on the direction, `system_displacement` takes the whole lever.
 
     spot ... wavefront_radius, normal: as in `first_order_displacement`; the spot is where the chief ray of the
     detector's centre meets the lit surface. line_of_sight: (3,) unit vector l of that ray, from the spot towards the
@@ -184,12 +238,12 @@ def centre_of_gravity_aperture(
     ray = centre - np.asarray(spot, dtype=np.float64)
     depth = facing @ ray
     if abs(depth) <= GRAZING_COSINE * np.linalg.norm(ray):
-        raise ValueError(
+        raise InputError(
             f"aperture_centre {text(centre)}: the line to it from the spot {text(spot)} must cross the detector plane"
         )
     reach = facing @ (np.asarray(detector_centre, dtype=np.float64) - centre) / depth
     if reach <= 0:
-        raise ValueError(f"aperture_centre {text(centre)}: must lie between the spot and the detector plane")
+        raise InputError(f"aperture_centre {text(centre)}: must lie between the spot and the detector plane")
     return -reach * plane.T @ (np.eye(3) - np.outer(ray, facing) / depth) @ slide
 
 

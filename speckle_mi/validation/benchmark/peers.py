@@ -59,7 +59,7 @@ def fresnel_sum(position: np.ndarray, amplitude: np.ndarray, grid: PlaneGrid, wa
     r = L - z + (X^2 + Y^2)/(2L) - (X x + Y y)/L + (x^2 + y^2)/(2L), with x, y, z the scatterer's place along u, v and
     towards the detector, X, Y the pixel's, L the distance; the amplitude 1/L. Good far away and near the axis.
     """
-    import finufft
+    from ...machine.nufft import finufft
 
     k = 2 * np.pi / wavelength
     rows, columns = grid.shape

@@ -2,80 +2,66 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Sequence
+from rich.console import Console
 
 from ...machine.run_times import duration
-from .study import Entry
+from ...report.terminal import print_table
+from .sums import Entry
 
 
-def new_console(quiet: bool):
-    from rich.console import Console
+def print_sums(console: Console, shape: tuple[int, int], entries: list[Entry]) -> None:
+    """Every way of summing; the ratio says how many times longer than ours, ``auto``, it takes."""
+    rows, columns = shape
+    heads = ("scatterers", "method", "time", "quartiles", "ours faster by", "error", "how")
+    ours = {entry.scatterers: entry.seconds for entry in entries if entry.name.startswith("auto")}
 
-    return Console(width=None if os.isatty(1) else 130, highlight=False, quiet=quiet)
+    def cells(entry: Entry) -> list[str]:
+        mark = "" if entry.share == 1 else "~"
+        ratio = "" if entry.name.startswith("auto") else f"{mark}{entry.seconds / ours[entry.scatterers]:,.3g}"
+        return [
+            f"{entry.scatterers:,}", entry.name, mark + duration(entry.seconds), _between(entry.q1, entry.q3),
+            ratio, "" if entry.error is None else f"{entry.error:.1e}", entry.plan.split(" (")[0],
+        ]  # fmt: skip
 
-
-def print_sums(console, shape: tuple[int, int], entries: list[Entry]) -> None:
-    console.print(_sums_table(shape, entries))
+    title = f"Coherent sum on {columns} x {rows} pixels"
+    print_table(console, heads, map(cells, entries), title=title, left=(1, 6), group_by=0)
     console.print(
         "~ summed on a part of the pixels and scaled up. Errors: relative L2 against the float64 sum on sampled pixels."
     )
 
 
-def print_pieces(console, pieces: dict[str, dict]) -> None:
-    table = _table("Around the sums", ("what", "median", "quartiles", "first", ""), left=(0, 4))
-    for name, piece in pieces.items():
+def print_pieces(console: Console, pieces: dict[str, dict]) -> None:
+    def cells(name: str, piece: dict) -> list[str]:
         quartiles = _between(piece["q1"], piece["q3"]) if piece["runs"] > 1 else ""
-        table.add_row(name, duration(piece["median"]), quartiles, duration(piece["first"]), piece["what"])
-    console.print(table)
+        return [name, duration(piece["median"]), quartiles, duration(piece["first"]), piece["what"]]
+
+    heads = ("what", "median", "quartiles", "first", "")
+    print_table(console, heads, (cells(*item) for item in pieces.items()), title="Around the sums", left=(0, 4))
 
 
-def _sums_table(shape: tuple[int, int], entries: list[Entry]):
-    """Every way of summing; the ratio says how many times longer than ours, ``auto``, it takes."""
-    rows, columns = shape
-    heads = ("scatterers", "method", "time", "quartiles", "ours faster by", "error", "how")
-    table = _table(f"Coherent sum on {columns} x {rows} pixels", heads, left=(1, 6))
-    ours = {entry.scatterers: entry.seconds for entry in entries if entry.name.startswith("auto")}
-    for number, entry in enumerate(entries):
-        mark = "" if entry.share == 1 else "~"
-        ratio = "" if entry.name.startswith("auto") else f"{mark}{entry.seconds / ours[entry.scatterers]:,.3g}"
-        ends = number + 1 == len(entries) or entries[number + 1].scatterers != entry.scatterers
-        table.add_row(
-            f"{entry.scatterers:,}", entry.name, mark + duration(entry.seconds), _between(entry.q1, entry.q3),
-            ratio, "" if entry.error is None else f"{entry.error:.1e}", entry.plan.split(" (")[0], end_section=ends,
-        )  # fmt: skip
-    return table
-
-
-def print_scaling(console, scaling: dict) -> None:
-    table = _table(
-        "Whole frames: scatterers, sum, intensity",
-        ("scatterers", "time", "quartiles", "first", "of the one before"),
-        left=(),
-    )
-    before = None
-    for count, timing in scaling["frames"].items():
-        growth = "" if before is None else f"{timing['median'] / before:.2f}"
-        table.add_row(f"{count:,}", duration(timing["median"]), _between(timing["q1"], timing["q3"]),
-                      duration(timing["first"]), growth)  # fmt: skip
-        before = timing["median"]
-    console.print(table)
+def print_scaling(console: Console, scaling: dict) -> None:
+    frames = scaling["frames"]
+    before = [None, *(timing["median"] for timing in frames.values())]
+    rows = [
+        [f"{count:,}", duration(timing["median"]), _between(timing["q1"], timing["q3"]), duration(timing["first"]),
+         "" if last is None else f"{timing['median'] / last:.2f}"]
+        for (count, timing), last in zip(frames.items(), before, strict=False)
+    ]  # fmt: skip
+    heads = ("scatterers", "time", "quartiles", "first", "of the one before")
+    print_table(console, heads, rows, title="Whole frames: scatterers, sum, intensity", left=())
     base = scaling["seconds"]
     console.print(
         f"four times the pixels, {scaling['scatterers']:,} scatterers: "
         f"{scaling['pixels_x4_finer'] / base:.2f} times the time for "
         f"finer ones, {scaling['pixels_x4_larger'] / base:.2f} for a larger detector"
     )
-    table = _table(
-        f"Time against rank, {scaling['scatterers']:,} scatterers",
-        ("tolerance", "rank", "time", "error", "how"),
-        left=(4,),
-    )
-    for entry in scaling["rank"]:
-        rank = "-" if entry["rank"] is None else str(entry["rank"])
-        table.add_row(f"{entry['tolerance']:.0e}", rank, duration(entry["seconds"]),
-                      f"{entry['error']:.1e}", entry["plan"].split(" (")[0])  # fmt: skip
-    console.print(table)
+    rows = [
+        [f"{entry['tolerance']:.0e}", "-" if entry["rank"] is None else str(entry["rank"]), duration(entry["seconds"]),
+         f"{entry['error']:.1e}", entry["plan"].split(" (")[0]]
+        for entry in scaling["rank"]
+    ]  # fmt: skip
+    title = f"Time against rank, {scaling['scatterers']:,} scatterers"
+    print_table(console, ("tolerance", "rank", "time", "error", "how"), rows, title=title, left=(4,))
 
 
 COSTS = {
@@ -88,23 +74,14 @@ COSTS = {
 """Names of :class:`speckle_mi.propagation.costs.Costs` in words."""
 
 
-def print_costs(console, costs: dict[str, dict[str, float]]) -> None:
-    heads = ("cost of", "recorded", "measured here", "measured / recorded")
-    table = _table("Cost model: the way is chosen from the recorded costs, only their ratios matter", heads, left=(0,))
-    for name, cost in costs.items():
-        recorded, measured = cost["recorded"], cost["measured"]
-        table.add_row(COSTS[name], duration(recorded), duration(measured), f"{measured / recorded:.2f}")
-    console.print(table)
-
-
-def _table(title: str, heads: Sequence[str], left: Sequence[int]):
-    from rich import box
-    from rich.table import Table
-
-    table = Table(title=title, box=box.SIMPLE_HEAD, title_justify="left")
-    for number, head in enumerate(heads):
-        table.add_column(head, justify="left" if number in left else "right")
-    return table
+def print_costs(console: Console, costs: dict[str, dict[str, float]]) -> None:
+    rows = [
+        [COSTS[name], duration(cost["recorded"]), duration(cost["measured"]),
+         f"{cost['measured'] / cost['recorded']:.2f}"]
+        for name, cost in costs.items()
+    ]  # fmt: skip
+    title = "Cost model: the way is chosen from the recorded costs, only their ratios matter"
+    print_table(console, ("cost of", "recorded", "measured here", "measured / recorded"), rows, title=title)
 
 
 def _between(low: float, high: float) -> str:

@@ -9,9 +9,11 @@ from dataclasses import asdict, fields
 import numpy as np
 
 from ...machine.files import replacing, write_json
+from ...report.terminal import print_machine, print_table, terminal
 from .frame import DOES_NOT_APPLY, LEFT_OUT, MEASURED, Row
 from .scatter import Scatter
-from .study import Study
+from .study import Findings
+from .subject import Subject
 
 
 def write_rows(path: str | os.PathLike, rows: list[Row]) -> None:
@@ -23,48 +25,34 @@ def write_rows(path: str | os.PathLike, rows: list[Row]) -> None:
             writer.writerow({name: "" if value is None else value for name, value in asdict(row).items()})
 
 
-def write_study(
-    path: str | os.PathLike, asked: dict, study: Study, rows: list[Row], scatter: list[Scatter], run: dict
-) -> None:
+def write_findings(path: str | os.PathLike, asked: dict, found: Findings, run: dict) -> None:
     """Writes as JSON what was ``asked`` (scene, defaults), all that was measured, and its ``run`` (machine, time)."""
+    subject = found.subject
     write_json(path, {
-        **asked, "plan": study.plan_lines,
-        "displacement": {"dof": "x", "mm": study.displacement}, "theory_shift_um": study.theory_shift,
-        "exact": {n: {"pixels": s.field.size, "scatterers": s.scatterers, "origin": s.origin, "seconds": s.seconds}
-                  for n, s in study.samples.items() if s is not None},
-        "rows": [asdict(row) for row in rows], "statistics": [asdict(entry) for entry in scatter],
+        **asked, "plan": list(subject.plan.lines),
+        "displacement": {"dof": "x", "mm": subject.displacement}, "theory_shift_um": subject.theory_shift,
+        "exact": {n: {"pixels": e.field.size, "scatterers": e.scatterers, "origin": e.origin, "seconds": e.seconds}
+                  for n, e in found.exact.items() if e is not None},
+        "rows": [asdict(row) for row in found.rows], "statistics": [asdict(entry) for entry in found.scatter],
         **run,
     })  # fmt: skip
 
 
-def print_report(study: Study, rows: list[Row], scatter: list[Scatter], system: dict[str, str]) -> None:
-    from rich import box
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(width=None if os.isatty(1) else 150, highlight=False)
-    for line in study.plan_lines:
-        console.print(f"plan: {line}", markup=False)
-    table = Table(
-        title=f"{study.name}: errors of field, phase and shift; warm and first run times; peak memory",
-        box=box.SIMPLE_HEAD,
-        title_justify="left",
-    )
+def print_report(found: Findings, system: dict[str, str]) -> None:
+    """Prints the table of what was measured, what was left out, the scatter over surfaces, and the machine."""
+    console, subject = terminal(), found.subject
+    for line in subject.plan.lines:
+        console.print(f"plan: {line}")
     heads = ("N1", "method", "tol. or N2", "field", "phase (waves)", "shift (um)", "- theory", "frame (ms)",
              "quartiles", "runs", "first", "MB")  # fmt: skip
-    for number, head in enumerate(heads):
-        table.add_column(head, justify="left" if number in (1, 2) else "right", no_wrap=True)
-    shown = [row for row in rows if row.status == MEASURED]
-    for number, row in enumerate(shown):
-        ends = number + 1 == len(shown) or shown[number + 1].point_sources != row.point_sources
-        table.add_row(*_cells(row), end_section=ends)
-    console.print(table)
-    for words in _notes(rows):
-        console.print(words, markup=False)
-    _print_exact(console, study)
-    _print_scatter(console, scatter, study)
-    names = ("processor", "cores", "system", "speckle_mi", "python", "mitsuba", "drjit", "numpy", "finufft", "LLVM")
-    console.print("machine: " + ", ".join(f"{name} {system[name]}" for name in names if name in system), markup=False)
+    title = f"{subject.name}: errors of field, phase and shift; warm and first run times; peak memory"
+    shown = [_cells(row) for row in found.rows if row.status == MEASURED]
+    print_table(console, heads, shown, title=title, left=(1, 2), group_by=0)
+    for words in _notes(found.rows):
+        console.print(words)
+    _print_exact(console, found)
+    _print_scatter(console, found.scatter, subject)
+    print_machine(console, system)
 
 
 def _cells(row: Row) -> list[str]:
@@ -99,42 +87,34 @@ def _notes(rows: list[Row]) -> list[str]:
     return lines + sorted({f"{row.method}: {row.note}" for row in rows if row.status == MEASURED and row.note})
 
 
-def _print_exact(console, study: Study) -> None:
-    held = [f"N1 = {n:,}: {s.field.size} pixels, {s.origin}" for n, s in study.samples.items() if s is not None]
-    console.print("errors of field and phase against: " + "; ".join(held), markup=False)
-    theory = "none" if study.theory_shift is None else "({:.3f}, {:.3f}) um".format(*study.theory_shift)
-    moved = f"shift: target moved {1e3 * study.displacement:.3g} um along x, first-order theory {theory}"
+def _print_exact(console, found: Findings) -> None:
+    subject = found.subject
+    held = [f"N1 = {n:,}: {e.field.size} pixels, {e.origin}" for n, e in found.exact.items() if e is not None]
+    console.print("errors of field and phase against: " + "; ".join(held))
+    theory = "none" if subject.theory_shift is None else "({:.3f}, {:.3f}) um".format(*subject.theory_shift)
+    moved = f"shift: target moved {1e3 * subject.displacement:.3g} um along x, first-order theory {theory}"
     console.print(f'{moved}; errors against the most exact frames of each N1 ("exact"), and from theory, '
-                  "which one surface only scatters about", markup=False)  # fmt: skip
+                  "which one surface only scatters about")  # fmt: skip
 
 
-def _print_scatter(console, scatter: list[Scatter], study: Study) -> None:
-    from rich import box
-    from rich.table import Table
-
+def _print_scatter(console, scatter: list[Scatter], subject: Subject) -> None:
     if not scatter:
         return
-    table = Table(title="Scatter of the sensitivity over surfaces", box=box.SIMPLE_HEAD, title_justify="left")
-    for number, head in enumerate(("motion", "axis", "N1", "surfaces", "mean", "theory", "one surface ±", "mean ±")):
-        table.add_column(head, justify="left" if number < 2 else "right")
+    heads = ("motion", "axis", "N1", "surfaces", "mean", "theory", "one surface ±", "mean ±")
+    rows = []
     for e in scatter:
         theory = "-" if e.theory is None else f"{e.theory:+.4f}"
         values = (f"{e.mean:+.4f} {e.unit}", theory, f"{e.spread:.4f}", f"{e.error_of_mean:.4f}")
-        table.add_row(
-            e.dof,
-            e.axis,
-            f"{e.point_sources:,}",
-            str(len(e.slopes)),
-            *(values if e.slopes else ("not measured", theory)),
-        )
-    console.print(table)
+        found = values if e.slopes else ("not measured", theory)
+        rows.append([e.dof, e.axis, f"{e.point_sources:,}", str(len(e.slopes)), *found])
+    print_table(console, heads, rows, title="Scatter of the sensitivity over surfaces", left=(0, 1))
     off = [e for e in scatter if e.off_theory is not None]
     for e in off:
         times = abs(e.off_theory) / e.error_of_mean
         words = f"off theory by {e.off_theory:+.2g} {e.unit}, {times:.1f} standard errors, more than chance explains"
-        console.print(f"{e.dof}, N1 = {e.point_sources:,}: {words}", markup=False)
-    for sentence in study.why_off_theory(off):
-        console.print(sentence, markup=False)
+        console.print(f"{e.dof}, N1 = {e.point_sources:,}: {words}")
+    for sentence in subject.why_off_theory({e.dof for e in off}):
+        console.print(sentence)
 
 
 def _sig(value: float | None) -> str:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from ...field.simulate import simulate
+from ...field.simulation import Simulation
 from ...geometry.pose import Pose
 from ...measurement.correlator import Correlator
 from .frame import Setting
@@ -106,10 +106,11 @@ def slopes_of_surfaces(
 def _slopes(assembly, count: int, seed: int, steps: dict[str, float]) -> dict[str, tuple[float, float]]:
     """Sensitivities (u, v) [mm/mm, mm/deg] of one surface, from displacements forth and back."""
     assembly = Setting("auto", count, SCATTER_TOLERANCE).of(assembly).with_seed(seed)
-    correlator = Correlator(simulate(assembly, Pose()).intensity)
+    simulation = Simulation(assembly)
+    correlator = Correlator(simulation.frame(Pose()).image.intensity)
     found = {}
     for dof, step in steps.items():
-        forth, back = (correlator.shift(simulate(assembly, Pose(**{dof: s * step})).intensity) for s in (1, -1))
+        forth, back = (correlator.shift(simulation.frame(Pose(**{dof: s * step})).image.intensity) for s in (1, -1))
         scale = assembly.detector.pitch / (2 * step)
         found[dof] = ((forth.u_px - back.u_px) * scale, (forth.v_px - back.v_px) * scale)
     return found

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 
+from rich.text import Text
+
 from ...machine.files import replacing, write_json
 from ...machine.progress import progress_bars
+from ...report.terminal import print_table, terminal
 from .case import BROKEN, LIMIT, OK, Check, checks_of
 
 
@@ -46,30 +48,20 @@ def write_table(folder: Path, checks: Sequence[Check], identity: dict) -> None:
     write_json(folder / "stability.json", {"identity": identity, "checks": [asdict(check) for check in checks]})
 
 
-def print_table(checks: Sequence[Check]) -> None:
+def print_checks(checks: Sequence[Check]) -> None:
     """Prints a row a check, then the limits with the messages that the user gets."""
-    from rich import box
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
-    console = Console(width=None if os.isatty(1) else 150, highlight=False)
-    table = Table(box=box.SIMPLE_HEAD)
-    for head in ("case", "quantity", "value", "reference", "error", "bound", "verdict"):
-        table.add_column(head, justify="right" if head in ("value", "reference", "error", "bound") else "left")
+    console = terminal()
+    heads = ("case", "quantity", "value", "reference", "error", "bound", "verdict")
     colours = {OK: "green", LIMIT: "yellow", BROKEN: "bold red"}
-    for check in checks:
-        numbers = (_text(check.value), _text(check.reference), _text(check.error, 2), _text(check.bound, 2))
-        table.add_row(
-            escape(check.case),
-            escape(check.quantity),
-            *map(escape, numbers),
-            f"[{colours[check.verdict]}]{check.verdict}[/]",
-        )
-    console.print(table)
+    rows = [
+        [check.case, check.quantity, _text(check.value), _text(check.reference), _text(check.error, 2),
+         _text(check.bound, 2), Text(check.verdict, colours[check.verdict])]
+        for check in checks
+    ]  # fmt: skip
+    print_table(console, heads, rows, left=(0, 1, 6))
     for check in checks:
         if check.message and check.verdict != OK:
-            console.print(f"{check.verdict}: {check.case}, {check.quantity}: {check.message}", markup=False)
+            console.print(f"{check.verdict}: {check.case}, {check.quantity}: {check.message}")
 
 
 def _text(value: float | str, digits: int = 6) -> str:

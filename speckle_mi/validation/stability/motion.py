@@ -26,7 +26,7 @@ _IMAGE = Bench(laser_angle=35.0, detector={"width": 256, "height": 256}, target=
 def displacements_far_below_an_atom(quick: bool):
     """Shift of a picometre's displacement: theory says 0.9463 times as much, the rest is the noise floor."""
     from ...measurement.correlator import Correlator
-    from ...field.simulate import simulate
+    from ...field.simulation import simulate
 
     assembly, tight = _IMAGE.assembly(), _IMAGE.with_(integrator={"tolerance": 1e-8}).assembly()
     correlator, tight_correlator = (Correlator(simulate(a).intensity) for a in (assembly, tight))
@@ -70,7 +70,7 @@ def rotation_of_known_points(quick: bool):
 def motion_larger_than_the_spot(quick: bool):
     """Other scatterers: the patterns are unrelated, and no shift may be reported."""
     from ...measurement.correlator import Correlator
-    from ...field.simulate import simulate
+    from ...field.simulation import simulate
 
     assembly = _IMAGE.assembly()
     correlator = Correlator(simulate(assembly).intensity)
@@ -97,7 +97,7 @@ def behind_the_detector(quick: bool):
 
 def motion_and_its_inverse(quick: bool):
     """To the last bit where the same pose comes back; to rounding where the motion is undone by another."""
-    from ...field.simulate import simulate
+    from ...field.simulation import simulate
 
     assembly = Bench().assembly()
     first = simulate(assembly).field

@@ -7,9 +7,10 @@ import re
 import numpy as np
 
 from ...geometry.frames import Frame
+from ...scene.write import Plugin, material, on_axis, shape
 from .case import BROKEN, LIMIT, Case, Check, compared, declined, same_field, warned, within
 from .references import K, off_axis_field, on_axis_integral, through_plate
-from .scenes import WAVELENGTH, Bench, Part, aperture, lens, pixel_centres
+from .scenes import WAVELENGTH, Bench, aperture, lens, pixel_centres
 from .surfaces import point_scatterers
 
 TOLERANCE = 1e-4
@@ -26,7 +27,7 @@ _UNIFORM = {"beam_radius": np.inf, "wavefront_radius": np.inf}
 
 def _of_a_point(bench: Bench, point=(0.0, 0.0, 0.0)):
     """Assembly and frame of a single scatterer under uniform light, and the field over the scatterer's amplitude."""
-    from ...field.simulate import simulate_frame
+    from ...field.simulation import simulate_frame
 
     with point_scatterers([point]) as path:
         bench = bench.with_(laser_angle=0.0, laser=_UNIFORM, target={"points": path, "roughness": 0.0})
@@ -108,8 +109,8 @@ def lenses_without_power(quick: bool):
         "of two spheres": {},
         "a strong asphere": {"radius1": 8.0, "conic1": -3.0, "diameter": 8.0},
     }
-    for name, shape in shapes.items():
-        _, _, field = _of_a_point(Bench(elements=(lens(25.0, **THICK | shape | {"ior": 1.0}),)))
+    for name, form in shapes.items():
+        _, _, field = _of_a_point(Bench(elements=(lens(25.0, **THICK | form | {"ior": 1.0}),)))
         yield same_field("index 1", f"field through a lens {name}", field, free, TOLERANCE)
     _, _, field = _of_a_point(
         Bench(detector=_PIXEL, elements=(lens(25.0, **THICK | {"radius1": 1e9, "radius2": 1e9}),))
@@ -218,9 +219,12 @@ def caustic_of_a_ball_lens(quick: bool):
         yield compared("caustic", f"energy over solid angle at {distance:g} mm", energy / solid_angle, 1.0, 0.02)
 
 
-def _ball(z: float) -> Part:
-    glass = '<bsdf type="dielectric"><float name="int_ior" value="1.5151"/><float name="ext_ior" value="1"/></bsdf>'
-    return Part("sphere", "ball", Frame(np.array([0, 0, z]), np.eye(3)), {"radius": 3.0}, glass)
+def _ball(z: float) -> Plugin:
+    return shape("sphere", "ball", on_axis(z), [_glass(1.5151)], radius=3.0)
+
+
+def _glass(index: float) -> Plugin:
+    return material("dielectric", int_ior=index, ext_ior=1.0)
 
 
 # Ways that end
@@ -232,14 +236,11 @@ def total_internal_reflection(quick: bool):
     A stop lets only the light through that meets the side x = 5 mm on its way.
     """
     side, index = 5.0, 1.5
-    glass = f'<bsdf type="dielectric"><float name="int_ior" value="{index}"/><float name="ext_ior" value="1"/></bsdf>'
-    cube = Part("cube", "cube", Frame(np.array([0, 0, 20.0]), np.eye(3)), {}, glass, side)
+    cube = shape("cube", "cube", on_axis(20.0), [_glass(index)], size=(side, side, side))
     plate = lens(
         15.0, **THICK | {"radius1": 0.0, "radius2": 0.0, "thickness": 2 * side, "ior": index, "diameter": 60.0}
     )
-    stop = Part(
-        "aperture", "stop", Frame(np.array([2.73, 0.0, 10.0]), np.eye(3)), {"radius": 0.05, "outer_radius": 30.0}
-    )
+    stop = shape("aperture", "stop", Frame(np.array([2.73, 0.0, 10.0]), np.eye(3)), radius=0.05, outer_radius=30.0)
     facing = np.diag([-1.0, 1.0, -1.0])
     bench = Bench(detector={"width": 32, "height": 24, "pixel_pitch": 0.03})
     behind_cube = bench.with_(detector_frame=Frame(np.array([0.0, 0.0, 40.0]), facing), elements=(stop, cube))
@@ -268,12 +269,10 @@ def rays_that_graze_a_rim(quick: bool):
 
 
 def blocked_light(quick: bool):
-    wall = Part("disk", "wall", Frame(np.array([0, 0, 30.0]), np.eye(3)), {}, '<bsdf type="diffuse"/>', 50.0)
+    wall = shape("disk", "wall", on_axis(30.0), [material("diffuse")], size=(50.0, 50.0, 50.0))
     yield warned("blocked", "a wall before the detector [field]", Bench(elements=(wall,)).frame(), "wall")
     first = aperture(20.0, radius=0.2, name="first", outer_radius=60.0)
-    second = Part(
-        "aperture", "second", Frame(np.array([9.0, 0, 40.0]), np.eye(3)), {"radius": 0.05, "outer_radius": 80.0}
-    )
+    second = shape("aperture", "second", Frame(np.array([9.0, 0, 40.0]), np.eye(3)), radius=0.05, outer_radius=80.0)
     frame = Bench(elements=(first, second), detector={"width": 16, "height": 16}).frame()
     message = "; ".join(frame.warnings)
     yield Check(

@@ -16,7 +16,7 @@ SINGLE_PRECISION = 1e-6
 
 def single_precision_paths(quick: bool):
     """The same sum with float32 paths, which would fail, and as it is computed, with float64 paths."""
-    from ...field.simulate import simulate_frame
+    from ...field.simulation import simulate_frame
 
     for distance in (60.0, 1e4):
         bench = Bench(detector_distance=distance, integrator={"method": "direct"})

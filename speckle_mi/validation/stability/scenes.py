@@ -10,31 +10,14 @@ from ...geometry.frames import Frame
 from ...geometry.plane import PlaneGrid
 from ...geometry.pose import Pose
 from ...geometry.rotation import rotation_matrix
+from ...scene import write
+from ...scene.write import ORIGIN, Plugin
 
 WAVELENGTH = 632.8e-6
 """Default wavelength [mm]."""
 
 SAMPLED_PIXELS = 400
 """Pixels on which a field is compared with an exact sum."""
-
-_WORLD = Frame(np.zeros(3), np.eye(3))
-
-
-@dataclass(frozen=True)
-class Part:
-    """An element of the scene. kind: plugin; frame: its place on the bench; values: parameters; inside: further XML."""
-
-    kind: str
-    name: str
-    frame: Frame
-    values: dict
-    inside: str = ""
-    scale: float = 1.0
-
-    def xml(self, bench: Bench) -> str:
-        place = placed(bench.in_world(self.frame), self.scale)
-        return f'<shape type="{self.kind}" id="{self.name}">{place}{parameters(self.values)}{self.inside}</shape>'
-
 
 @dataclass(frozen=True)
 class Bench:
@@ -52,45 +35,40 @@ class Bench:
     detector_distance: float = 60.0
     detector_turn: float = 180.0
     detector_frame: Frame | None = None
-    target_frame: Frame = _WORLD
+    target_frame: Frame = ORIGIN
     laser: dict = field(default_factory=dict)
     target: dict = field(default_factory=dict)
     detector: dict = field(default_factory=dict)
     integrator: dict = field(default_factory=dict)
-    elements: tuple[Part, ...] = ()
-    world: Frame = _WORLD
+    elements: tuple[Plugin, ...] = ()
+    world: Frame = ORIGIN
     backwards: bool = False
 
     def xml(self) -> str:
         """The scene file."""
         laser = {"wavelength": WAVELENGTH * 1e6, "beam_radius": 0.12, "wavefront_radius": -750.0} | self.laser
         target = {"roughness": 0.8, "point_sources": 100} | self.target
-        size = {name: self.detector.get(name, 48) for name in ("width", "height")}
-        pitch = {"pixel_pitch": self.detector.get("pixel_pitch", 0.006)}
         parts = [
-            f'<integrator type="coherent">{parameters(self.integrator)}</integrator>',
-            f'<emitter type="laser" id="laser">{self._place(self.laser_angle, self.laser_distance)}'
-            f"{parameters(laser)}</emitter>",
-            f'<shape type="rough_target" id="target">{placed(self.in_world(self.target_frame))}'
-            f"{parameters(target)}</shape>",
-            f'<sensor type="detector" id="detector">'
-            f"{self._detector_place()}"
-            f'{parameters(pitch)}<film type="hdrfilm">{parameters(size)}</film></sensor>',
-            *(part.xml(self) for part in self.elements),
+            write.integrator(**self.integrator),
+            write.laser(self._place(self.laser_angle, self.laser_distance), **laser),
+            write.rough_target(self.target_frame, **target),
+            write.detector(self._detector_place(), **{"width": 48, "height": 48} | self.detector),
+            *self.elements,
         ]
-        return f'<scene version="3.0.0">{"".join(parts[::-1] if self.backwards else parts)}</scene>'
+        parts = [part if part.frame is None else part.at(self.in_world(part.frame)) for part in parts]
+        return write.scene_text(*(parts[::-1] if self.backwards else parts))
 
     def assembly(self):
         """The assembly of the scene."""
         import mitsuba as mi
 
-        from ...scene.assembly import assembly_from_scene
+        from ...scene.read import assembly_from_scene
 
         return assembly_from_scene(mi.load_string(self.xml()))
 
     def frame(self, pose: Pose | None = None):
         """The simulated frame."""
-        from ...field.simulate import simulate_frame
+        from ...field.simulation import simulate_frame
 
         return simulate_frame(self.assembly(), pose)
 
@@ -105,15 +83,15 @@ class Bench:
         }
         return replace(self, **merged)
 
-    def _place(self, angle: float, distance: float, turn: float = 180.0) -> str:
+    def _place(self, angle: float, distance: float, turn: float = 180.0) -> Frame:
         """Place at ``distance`` in a direction, its local +z turned back to the origin (for a turn of 180 deg)."""
         axes = rotation_matrix(np.radians([0.0, angle, 0.0]))
         facing = axes @ rotation_matrix(np.radians([0.0, turn, 0.0]))
-        return placed(self.in_world(Frame(distance * axes[:, 2], facing)))
+        return Frame(distance * axes[:, 2], facing)
 
-    def _detector_place(self) -> str:
+    def _detector_place(self) -> Frame:
         if self.detector_frame is not None:
-            return placed(self.in_world(self.detector_frame))
+            return self.detector_frame
         return self._place(self.detector_angle, self.detector_distance, self.detector_turn)
 
     def in_world(self, frame: Frame) -> Frame:
@@ -121,37 +99,14 @@ class Bench:
         return Frame(self.world.to_world(frame.origin[None])[0], self.world.axes @ frame.axes)
 
 
-def placed(frame: Frame, scale: float = 1.0) -> str:
-    """``to_world`` of a frame, with a scale for stock shapes."""
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = scale * frame.axes, frame.origin
-    return (
-        f'<transform name="to_world"><matrix value="{" ".join(repr(float(x)) for x in matrix.ravel())}"/></transform>'
-    )
-
-
-def parameters(values: dict) -> str:
-    """Parameters as XML elements by the type of their values."""
-    kinds = {bool: "boolean", int: "integer", float: "float", str: "string"}
-    texts = {name: str(value).lower() if isinstance(value, bool) else repr(value) for name, value in values.items()}
-    return "".join(
-        f'<{kinds[type(value)]} name="{name}" value="{value if isinstance(value, str) else texts[name]}"/>'
-        for name, value in values.items()
-    )
-
-
-def lens(z: float, **values) -> Part:
+def lens(z: float, **values) -> Plugin:
     """A lens with its front vertex on the z axis."""
-    return Part("lens", "lens", _on_axis(z), values)
+    return write.shape("lens", "lens", write.on_axis(z), **values)
 
 
-def aperture(z: float, name: str = "stop", **values) -> Part:
+def aperture(z: float, name: str = "stop", **values) -> Plugin:
     """An aperture on the z axis."""
-    return Part("aperture", name, _on_axis(z), values)
-
-
-def _on_axis(z: float) -> Frame:
-    return Frame(np.array([0.0, 0.0, z]), np.eye(3))
+    return write.shape("aperture", name, write.on_axis(z), **values)
 
 
 # Exact sums, written down independently of the propagation
@@ -192,23 +147,23 @@ def exact_laser(beam, points: np.ndarray) -> np.ndarray:
     axis = beam.axis.astype(wide)
     axis /= np.sqrt(axis @ axis)
     along = from_reference @ axis
-    if np.abs(beam.wavefront_radius) > 1e6:
-        # A parabola: the next term of the expansion is below a millionth of a millionth of a millimetre.
-        path = along + (np.sum(np.square(from_reference), axis=1) - along**2) / (2 * wide(beam.wavefront_radius))
-    else:
-        radius = wide(beam.wavefront_radius)
-        centre = beam.reference.astype(wide) - radius * axis
-        distance = np.sqrt(np.sum(np.square(points.astype(wide) - centre), axis=1))
-        path = np.sign(radius) * (distance - np.abs(radius))
+    squared = np.sum(np.square(from_reference - along[:, None] * axis), axis=1)
+    spread = 0 if np.isinf(beam.radius) else wide(beam.wavelength) / (wide(np.pi) * wide(beam.radius) ** 2)
+    step = 1 + along * (1 / wide(beam.wavefront_radius) + 1j * spread)  # q / q_0
+    inverse = (1 / wide(beam.wavefront_radius) + 1j * spread) / step
+    curvature = inverse.real
+    # Less the path along the axis: R - sqrt(R^2 + r^2) without its cancellation.
+    path = along + curvature * squared / (1 + np.sqrt(1 + curvature**2 * squared))
     turns = (path + wide(beam.reference_path)) / wide(beam.wavelength)
-    across = np.sum(np.square(from_reference), axis=1) - along**2
-    amplitude = 1.0 if np.isinf(beam.radius) else np.exp(-(across / wide(beam.radius) ** 2).astype(np.float64))
-    return amplitude * np.exp(2j * np.pi * (turns - np.round(turns)).astype(np.float64))
+    phase = np.exp(2j * np.pi * (turns - np.round(turns)).astype(np.float64))
+    if np.isinf(beam.radius):
+        return np.where(step.real < 0, -1, 1) * phase
+    return (np.exp(-squared * (wide(np.pi) / wide(beam.wavelength)) * inverse.imag) / step).astype(complex) * phase
 
 
 def against_exact_sum(bench: Bench, pose: Pose | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Field and exact sum of the same scatterers on sampled pixels of a bench in free space, (n,) each."""
-    from ...field.simulate import simulate_frame
+    from ...field.simulation import simulate_frame
 
     assembly = bench.assembly()
     frame = simulate_frame(assembly, pose)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...machine.interrupt import scratch_folder
+from ...scene.write import write_points
 from .case import Case, compared, same_field, within
 from .scenes import WAVELENGTH, Bench, against_exact_sum
 
@@ -65,7 +66,7 @@ def specular_spot_of_a_smooth_surface(quick: bool):
         target={"roughness": 0.0, "point_sources": 50_000},
     )
     assembly = bench.assembly()
-    from ...field.simulate import simulate
+    from ...field.simulation import simulate
 
     k, w, z = 2 * np.pi / WAVELENGTH, 0.12, 200.0
     turns = (z + assembly.beam.reference_path) / WAVELENGTH
@@ -80,7 +81,7 @@ def partially_developed_speckle(quick: bool):
     Sum a_j e^{i phi_j} with Gaussian phases: mean S1 M1, variances S2 (1 + M2 - 2 M1^2)/2 and S2 (1 - M2)/2 in
     phase and in quadrature, M1 = e^{-s^2/2}, M2 = e^{-2 s^2}, S1 = sum a, S2 = sum a^2; many terms make it Gaussian.
     """
-    from ...field.simulate import simulate_frame
+    from ...field.simulation import simulate_frame
 
     count = 150 if quick else 600
     for rms in (0.03, 0.1):
@@ -198,9 +199,7 @@ def _write_cap(path: Path, radius: float) -> None:
 def point_scatterers(points) -> Iterator[str]:
     """A CSV file of scatterers for the length of a block."""
     with scratch_folder() as folder:
-        path = folder / "points.csv"
-        path.write_text("\n".join(",".join(map(repr, map(float, point))) for point in points) + "\n", encoding="ascii")
-        yield str(path)
+        yield str(write_points(folder / "points.csv", points))
 
 
 def _only(path: str) -> dict:

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..measurement.defects import interpolated, without_mosaic
-from .field_image import FieldImage, FieldImageError
-from .pictures import read_image
+from ..errors import InputError
+from .defects import interpolated, without_mosaic
 
 LEAST_FLAT = 0.05
 """Flat field, relative to its mean, below which a pixel sees too little to be corrected."""
@@ -31,19 +29,18 @@ class Correction:
     mosaic: str | None = None
     colour: str | None = None
 
-    def apply(self, image: FieldImage) -> FieldImage:
-        """The image corrected. Raises FieldImageError for pictures of another size."""
-        values = image.intensity
+    def apply(self, values: np.ndarray) -> np.ndarray:
+        """An image (rows, columns) corrected. Raises InputError where a picture of the correction has another size."""
         for name, other in (("dark", self.dark), ("flat", self.flat), ("mask", self.mask)):
             if other is not None and other.shape != values.shape:
-                raise FieldImageError(f"--{name}: {_size(other)} px, must be those of the images, {_size(values)} px")
+                raise InputError(f"--{name}: {_size(other)} px, must be those of the images, {_size(values)} px")
         if self.dark is not None:
             values = values - self.dark
         if self.flat is not None:
             values = values / self._sensitivity()
         if self.mosaic is not None:
             values = self._one_colour(np.asarray(values, dtype=float))
-        return image if values is image.intensity else replace(image, intensity=values.astype(np.float32), field=None)
+        return values
 
     def valid(self) -> np.ndarray | None:
         """(rows, columns) bool, False where corrected images say nothing; None if they say something everywhere."""
@@ -76,36 +73,36 @@ def _size(values: np.ndarray) -> str:
 
 
 def checked_mosaic(text: str | None, colour: str | None) -> tuple[str | None, str | None]:
-    """A mosaic and a colour of it in capitals. Raises ValueError for what is none."""
+    """A mosaic and a colour of it in capitals. Raises InputError for what is none."""
     if text is None:
         if colour is not None:
-            raise ValueError(f"--colour {colour}: must come with --bayer, the colours of the mosaic")
+            raise InputError(f"--colour {colour}: must come with --bayer, the colours of the mosaic")
         return None, None
     mosaic = text.upper()
     if len(mosaic) != 4 or set(mosaic) - set(COLOURS):
-        raise ValueError(f"--bayer {text}: must be the colours of the first 2 x 2 pixels by row, as RGGB, BGGR, GRBG or GBRG")
+        raise InputError(f"--bayer {text}: must be the colours of the first 2 x 2 pixels by row, as RGGB, BGGR, GRBG or GBRG")
     if colour is not None and colour.upper() not in mosaic:
-        raise ValueError(f"--colour {colour}: must be one of the mosaic's, {', '.join(sorted(set(mosaic)))}")
+        raise InputError(f"--colour {colour}: must be one of the mosaic's, {', '.join(sorted(set(mosaic)))}")
     return mosaic, None if colour is None else colour.upper()
 
 
 def read_correction(
-    dark: str | os.PathLike | None,
-    flat: str | os.PathLike | None,
-    mask: str | os.PathLike | None,
+    read: Callable[[str], np.ndarray],
+    dark: str | None,
+    flat: str | None,
+    mask: str | None,
     mosaic: str | None = None,
     colour: str | None = None,
-    read: Callable = read_image,
 ) -> Correction:
-    """Reads the pictures of a correction. Raises ValueError, in one line, for what cannot be one."""
+    """The correction by pictures that ``read`` gives (rows, columns) by name. Raises InputError for what cannot be one."""
     mosaic, colour = checked_mosaic(mosaic, colour)
-    dark, flat, mask = (None if path is None else read(path).intensity for path in (dark, flat, mask))
+    dark, flat, mask = (None if name is None else read(name) for name in (dark, flat, mask))
     for name, values in (("dark", dark), ("flat", flat), ("mask", mask)):
         if values is not None and not np.isfinite(values).all():
-            raise ValueError(f"--{name}: holds pixels that are NaN or infinite, all must be finite")
+            raise InputError(f"--{name}: holds pixels that are NaN or infinite, all must be finite")
     if mask is not None and not mask.any():
-        raise ValueError("--mask: is black everywhere, must be white (not 0) where the images are to be looked at")
+        raise InputError("--mask: is black everywhere, must be white (not 0) where the images are to be looked at")
     found = Correction(dark, flat, None if mask is None else mask > 0, mosaic, colour)
     if flat is not None and not (dark is not None and dark.shape != flat.shape) and not found._light().mean() > 0.0:
-        raise ValueError("--flat: is not brighter than the dark picture, must be a picture of even light")
+        raise InputError("--flat: is not brighter than the dark picture, must be a picture of even light")
     return found

@@ -1,0 +1,209 @@
+r"""
+.. _shape-mirror:
+
+Mirror (:monosp:`mirror`)
+-------------------------
+
+.. pluginparameters::
+
+ * - to_world
+   - |transform|
+   - Place of the vertex of the surface of revolution; its axis is the local z. Only rotation and translation.
+   - |exposed|
+ * - radius
+   - |float|
+   - Radius of curvature at the vertex [mm]; positive: centre of curvature on the +z side, 0: plane. (Default: 0)
+   - |exposed|
+ * - conic
+   - |float|
+   - Conic constant; 0: sphere, -1: paraboloid, below -1: hyperboloid. (Default: 0)
+   - |exposed|
+ * - diameter
+   - |float|
+   - Diameter of the mirror across the axis [mm]. (Required)
+   - |exposed|
+ * - off_axis
+   - |float|
+   - Distance of the mirror's middle from the axis, along the local x [mm]. (Default: 0)
+   - |exposed|
+ * - reflectance
+   - |float|
+   - Part of the intensity that is reflected, above 0 and at most 1. (Default: 1)
+   - |exposed|
+ * - bsdf
+   - |bsdf|
+   - A smooth conductor whose ``specular_reflectance`` is ``reflectance``, for other integrators. (Default: such a
+     one, two-sided)
+   -
+
+A thin mirror of limited size that reflects on both sides: the part of the surface of revolution
+:math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` that lies in a cylinder along the local z. The local origin is the
+vertex of the whole surface, whether or not the mirror holds it: a paraboloid has its focus at z = ``radius`` / 2 on the
+local z axis for any ``off_axis``, and light along z meets it in a round spot of the full ``diameter``.
+
+::
+
+            z |
+              |
+              |              the mirror, seen along y
+        focus x               ,
+              |              /   ---
+              |            ,'     |
+              |         _,'       | diameter, measured along x
+              |     _,-'         ---
+       vertex o---'-----|------------> x
+              |<------->|
+               off_axis, to the middle of the diameter
+
+A catalogue's paraboloid of reflected focal length F and off-axis angle A has ``radius`` = F (1 + cos A), ``conic`` = -1
+and ``off_axis`` = F sin A.
+
+.. tabs::
+    .. code-tab:: xml
+
+        <shape type="mirror">
+            <float name="radius" value="200"/> <float name="conic" value="-1"/>
+            <float name="diameter" value="25.4"/> <float name="off_axis" value="50"/>
+        </shape>
+
+    .. code-tab:: python
+
+        'type': 'mirror', 'radius': 200.0, 'conic': -1.0, 'diameter': 25.4, 'off_axis': 50.0
+"""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.outline import Circle, OffsetCircle
+from speckle_mi.optics.surface import Surface
+from speckle_mi.scene.body import Body
+from speckle_mi.scene.elements import Element
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from ._mesh import ENCLOSING, SECTORS, cap_faces, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
+from ._placement import Placement
+
+_LIMITS = {
+    "radius": {"unit": "mm"},
+    "conic": {"at_least": -1e4, "at_most": 1e4},  # beyond, a cone that turns round within a point
+    "diameter": {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"},
+    "off_axis": {"at_least": -1e5, "at_most": 1e5, "unit": "mm"},
+    "reflectance": {"above": 0.0, "at_most": 1.0},
+}
+_DEFAULTS = {"radius": 0.0, "conic": 0.0, "off_axis": 0.0, "reflectance": 1.0}
+
+_RINGS = 96
+"""Rings of vertices around the mirror's middle."""
+
+_ROUNDING = 1e-12
+"""Relative excess of a mirror's reach over a full hemisphere that is only rounding."""
+
+
+class Mirror(mi.Mesh):
+    def __init__(self, props: mi.Properties) -> None:
+        self.where = describe(props)
+        self.placement = Placement(props)
+        for name, limits in _LIMITS.items():
+            default = (_DEFAULTS[name],) if name in _DEFAULTS else ()
+            setattr(self, name, stored(read_number(props, name, *default, **limits)))
+        self._check()
+        self.owns_bsdf = not any(isinstance(child, mi.BSDF) for _, child in props.objects())
+        if self.owns_bsdf:
+            reflectance = {"type": "uniform", "value": value_of(self.reflectance)}
+            metal = {"type": "conductor", "specular_reflectance": reflectance}
+            props["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": metal})
+        super().__init__(props)
+        vertices, normals = self._vertices()
+        fill_mesh(self, self.placement.frame, vertices, _faces(), normals)
+
+    def element(self) -> Element:
+        """The mirror's surface inside its rim."""
+        vertices, _ = self._vertices()
+        body = Body.mesh(self.placement.frame.to_world(vertices), _faces())
+        amplitude = float(np.sqrt(value_of(self.reflectance)))
+        return Element(self.id(), "mirror", (self._surface(self.placement.frame),), body, amplitude=amplitude)
+
+    def _surface(self, frame: Frame) -> Surface:
+        """The surface with its vertex at the origin of ``frame``."""
+        radius, off_axis, rim = value_of(self.radius), value_of(self.off_axis), value_of(self.diameter) / 2
+        outline = OffsetCircle(rim, (off_axis, 0.0)) if off_axis else Circle(rim)
+        return Surface(frame, 1.0 / radius if radius else 0.0, value_of(self.conic), outline)
+
+    def _check(self) -> None:
+        for name, limits in _LIMITS.items():
+            check_number(self.where, name, value_of(getattr(self, name)), **limits)
+        surface = self._surface(Frame(np.zeros(3), np.eye(3)))
+        bend = (1 + surface.conic) * surface.curvature**2
+        if bend * surface.outline.reach**2 <= 1 + _ROUNDING:
+            return
+        widest, off_axis = 1 / np.sqrt(bend), value_of(self.off_axis)
+        ends = f"where the surface of 'radius' = {value_of(self.radius):g} mm with 'conic' = {surface.conic:g} ends"
+        if abs(off_axis) >= widest:
+            raise SceneError(
+                f"{self.where}: parameter 'off_axis' is {off_axis:g} mm, "
+                f"must be less than {widest:.7g} mm in size, {ends}"
+            )
+        beside = f" at 'off_axis' = {off_axis:g} mm" if off_axis else ""
+        raise SceneError(
+            f"{self.where}: parameter 'diameter' is {value_of(self.diameter):g} mm, "
+            f"must be at most {2 * (widest - abs(off_axis)):.7g} mm{beside}, {ends}"
+        )
+
+    def _vertices(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices (n, 3) [mm] and normals (n, 3), towards +z, in the local frame: the middle, then ring after ring."""
+        surface = self._surface(Frame(np.zeros(3), np.eye(3)))
+        outline, angles = surface.outline, sector_angles()
+        # Evenly spaced in the sine of the slope, so that a hemisphere is as fine at its rim as at its vertex.
+        sine = abs(surface.curvature) * outline.reach * np.sqrt(max(1 + surface.conic, 0.0))
+        widest = np.arcsin(min(sine, 1.0))
+        steps = np.arange(_RINGS + 1) / _RINGS
+        r = outline.half_size[0] * (np.sin(steps * widest) / np.sin(widest) if widest > 0 else steps)
+        point = _around(outline.centre, r, angles)
+        point[2] = surface.sag(point[0] ** 2 + point[1] ** 2)
+        normal = -surface.gradient(point)
+        # The rim of the mesh lies a trace outside the diameter, at the height of the surface's own rim.
+        extent = outline.reach + float(np.max(np.abs(point[2])))
+        r[-1] = ENCLOSING * (r[-1] + rounding_room(self.placement.frame, extent))
+        point[:2] = _around(outline.centre, r, angles)[:2]
+        return point.T, (normal / np.linalg.norm(normal, axis=0)).T
+
+    def traverse(self, callback) -> None:
+        super().traverse(callback)
+        for name in _LIMITS:
+            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
+        self.placement.traverse(callback)
+
+    def parameters_changed(self, keys) -> None:
+        keys = list(keys)
+        self.placement.parameters_changed(keys, self.where)
+        if {"to_world", *_LIMITS}.intersection(keys):
+            self._check()
+            keys += move_mesh(self, self.placement.frame, *self._vertices())
+        if "reflectance" in keys and self.owns_bsdf:
+            bsdf = mi.traverse(self.bsdf())
+            for name in bsdf.keys():
+                if name.endswith("specular_reflectance.value"):
+                    bsdf[name] = value_of(self.reflectance)
+            bsdf.update()
+        super().parameters_changed(keys)
+
+    def to_string(self) -> str:
+        return f"Mirror[{', '.join(f'{name} = {value_of(getattr(self, name))}' for name in _LIMITS)}]"
+
+
+def _around(centre: tuple[float, float], r: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Places (3, 1 + (m - 1) s) at z = 0: ``centre``, then at every angle (s,) each of the distances r[1:] (m,)."""
+    x = centre[0] + np.append(0.0, np.outer(r[1:], np.cos(angles)))
+    y = centre[1] + np.append(0.0, np.outer(r[1:], np.sin(angles)))
+    return np.stack([x, y, np.zeros_like(x)])
+
+
+def _faces() -> np.ndarray:
+    """Faces of the one sheet, normals +z."""
+    return np.concatenate([cap_faces(0, SECTORS), 1 + ring_faces(_RINGS, SECTORS)])
+
+
+mi.register_shape("mirror", Mirror)

@@ -1,0 +1,342 @@
+"""At which edges light is diffracted, and how strong the waves of those are that are left out.
+
+Between the spot, the openings that are diffracted at and the detector lie the rims of all other elements. The light keeps
+off a rim by a Fresnel parameter v = d sqrt(2 / (lambda L)), d the distance of a ray from it and 1/L the curvature there of
+the path over it: the wave of a straight edge is 1/(pi sqrt(2) v) of the field. A rim whose wave counts is diffracted at
+where the integral over it is affordable; else the wave is stated as an error of the field.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.outline import Circle
+from ..geometry.plane import PlaneGrid
+from ..optics.aim import aim
+from ..optics.sequence import Interaction, Sequence, detector_plane
+from ..optics.trace import RayStatus, trace
+from ..propagation.opening_quadrature import estimated_nodes
+from .routes import hole_places
+from .setup import Setup
+from .way import Channel, Rim
+
+CUTS = 1.5
+"""Fresnel parameter of the nearest ray below which a rim cuts into the light: no share of its wave says how much."""
+
+SHARE = 0.3
+"""Part of the tolerance that the wave of an edge may have and still be left out."""
+
+AFFORDABLE_NODES = 200_000
+"""Nodes up to which a rim that only touches the light is diffracted at."""
+
+_DETECTOR_SIDE = 5
+_HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
+_RIM_POINTS = 48
+_INSIDE_RIM = 1 - 1e-6
+_LIMITING_SHARE = 0.01
+"""Share of an opening's rim that must be the edge of the light for the opening to count as limiting it."""
+
+_IN_PLANE = 1e-6
+"""Distance [mm] of a rim's plane from where the light comes from or goes to within which no wave has room to spread."""
+
+_STEP = 1e-2
+"""Step over a rim's plane, relative to its size, of the second differences of a path."""
+
+
+@dataclass(frozen=True)
+class EdgeWave:
+    """rim; v: smallest Fresnel parameter, negative where rays lie outside; wave: on the detector, relative to the field."""
+
+    rim: Rim
+    v: float
+    wave: float
+
+
+@dataclass(frozen=True)
+class PhaseGradient:
+    """Bound on the gradient of the light's phase over an opening [rad/mm]: of its length, or along x and y.
+
+    tilt: across the radius and at the centre, where from there to the rim it stays below a straight line, else None.
+    """
+
+    bound: float | tuple[float, float]
+    tilt: float | None = None
+
+
+def chosen_edges(
+    setup: Setup, channel: Channel, spots: np.ndarray, first: list[Rim]
+) -> tuple[tuple[Rim, ...], tuple[EdgeWave, ...]]:
+    """The rims to diffract at, in order, and the waves of those that are left out.
+
+    spots: (m, 3) places that stand for the spot; first: rims that are diffracted at in any case.
+    """
+    chosen = list(first)
+    unaffordable: set[int] = set()
+    while True:
+        chosen.sort(key=lambda rim: rim.position)
+        waves = [_edge_wave(setup, channel, rim, *_neighbours(chosen, rim), spots)
+                 for rim in channel.rims if rim not in chosen]  # fmt: skip
+        wanted = [one for one in waves if _counts(setup, one) and one.rim.number not in unaffordable]
+        if not wanted:
+            return tuple(chosen), tuple(waves)
+        nearest = min(wanted, key=lambda one: one.v)
+        if nearest.v < CUTS or _is_affordable(setup, channel, nearest.rim, chosen, spots):
+            chosen.append(nearest.rim)
+        else:
+            unaffordable.add(nearest.rim.number)
+
+
+def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
+    """Those rims that are the edge of the light from the spot's middle, the most limiting first."""
+    sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
+    shares = []
+    for rim in channel.rims:
+        places = _rim_points(rim, _RIM_POINTS)
+        source = np.broadcast_to(spot, places.shape)
+        aimed = aim(Sequence((*_powers(channel, 0, rim.position), rim.end)), source, places)
+        reached = aimed.converged
+        free = np.zeros(len(places), dtype=bool)
+        if np.any(reached):
+            traced = trace(sequence, source[reached], aimed.launch[reached])
+            alive = traced.status <= RayStatus.OUTSIDE_OUTLINE
+            free[reached] = alive & np.all(traced.margins >= -1e-4, axis=0)
+        shares.append(np.mean(free))
+    order = np.argsort(shares, kind="stable")[::-1]
+    return [channel.rims[k] for k in order if shares[k] > _LIMITING_SHARE]
+
+
+def phase_gradient(
+    channel: Channel,
+    rim: Rim,
+    before: Rim | None,
+    after: Rim | None,
+    sources: np.ndarray,
+    targets: np.ndarray,
+    wavelength: float,
+    safety: float,
+) -> PhaseGradient:
+    """Bound on the phase gradient over a rim of all light from sources (n, 3) to targets (m, 3).
+
+    before, after: openings that these lie on, None for the spot and the detector; safety: factor on what is sampled.
+    Raises InputError where no ray leads over the rim.
+    """
+    samples = hole_places(rim.plane, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), 12)
+    leading, trailing, end = _pieces(channel, rim, before, after)
+    coming = aim(Sequence((*leading, rim.end)), np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0))
+    going = aim(Sequence((*trailing, end)), np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1)))
+    tangents = rim.plane.frame.axes[:, :2]
+    k = 2 * np.pi * rim.index / wavelength
+    arriving = k * (coming.arrival @ tangents).reshape(len(samples), -1, 1, 2)
+    leaving = k * (going.launch @ tangents).reshape(len(samples), 1, -1, 2)
+    gradient = (arriving - leaving).reshape(len(samples), -1, 2)
+    if not np.isfinite(gradient).any():
+        raise InputError("no ray leads over it from the spot to the detector")
+    outline = rim.plane.outline
+    if not isinstance(outline, Circle):
+        bound = safety * np.nanmax(np.abs(gradient), axis=(0, 1))
+        return PhaseGradient((float(bound[0]), float(bound[1])))
+    local = rim.plane.frame.to_local(samples)[:, :2]
+    radius = np.hypot(*local.T)
+    with np.errstate(invalid="ignore"):
+        length = np.fmax.reduce(np.hypot(gradient[..., 0], gradient[..., 1]), axis=1, initial=0.0)
+        around = np.stack([-local[:, 1], local[:, 0]], axis=1) / np.maximum(radius, 1e-300)[:, None]
+        azimuthal = np.fmax.reduce(np.abs(np.einsum("snk,sk->sn", gradient, around)), axis=1, initial=0.0)
+    tilt = max(float(length[radius == 0].max()), float(azimuthal.max()))
+    largest = float(length.max())
+    grows_evenly = np.all(length <= (tilt + (largest - tilt) * radius / outline.radius) * safety + 1e-9)
+    return PhaseGradient(safety * largest, safety * tilt if grows_evenly else None)
+
+
+def detector_places(grid: PlaneGrid, side: int = _DETECTOR_SIDE) -> np.ndarray:
+    """World points (side^2, 3) over the detector, from edge to edge."""
+    share = np.linspace(-1, 1, side)
+    half_u, half_v = grid.half_size
+    a, b = (values.ravel() for values in np.meshgrid(share, share))
+    return grid.centre + (half_u * a)[:, None] * grid.u + (half_v * b)[:, None] * grid.v
+
+
+def _counts(setup: Setup, one: EdgeWave) -> bool:
+    return one.v < CUTS or one.wave > SHARE * setup.assembly.options.tolerance
+
+
+def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], spots: np.ndarray) -> bool:
+    before, after = _neighbours(chosen, rim)
+    try:
+        gradient = phase_gradient(
+            channel, rim, before, after, _ends(channel, before, spots), _ends(channel, after, None),
+            setup.assembly.beam.wavelength, 1.0,
+        )  # fmt: skip
+    except InputError:
+        return False
+    return estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) <= AFFORDABLE_NODES
+
+
+def all_affordable(setup: Setup, channel: Channel, spots: np.ndarray) -> bool:
+    """Whether a way over openings alone can be diffracted at all of them."""
+    screens = sorted((rim for rim in channel.rims if rim.is_screen), key=lambda rim: rim.position)
+    return all(_is_affordable(setup, channel, rim, screens, spots) for rim in screens)
+
+
+def _neighbours(chosen: list[Rim], rim: Rim) -> tuple[Rim | None, Rim | None]:
+    """The chosen rims before and behind a rim."""
+    earlier = [one for one in chosen if (one.position, one.number) < (rim.position, rim.number)]
+    later = [one for one in chosen if (one.position, one.number) > (rim.position, rim.number)]
+    return (earlier[-1] if earlier else None), (later[0] if later else None)
+
+
+def _ends(channel: Channel, rim: Rim | None, spots: np.ndarray | None) -> np.ndarray:
+    """Places on an opening, or (None) on the spot or the detector."""
+    if rim is not None:
+        return hole_places(rim.plane, _HOLE_SHARES, _HOLE_ANGLES)
+    return detector_places(channel.grid) if spots is None else spots
+
+
+def _powers(channel: Channel, first: int, last: int) -> tuple[Interaction, ...]:
+    """The refracting and reflecting interactions in part of a way."""
+    return tuple(i for i in channel.interactions[first:last] if i.action != "pass")
+
+
+def _pieces(channel: Channel, rim: Rim, before: Rim | None, after: Rim | None):
+    """What lies between the neighbours and a rim, before and behind it, and the plane of the later neighbour."""
+    first = before.position if before else 0
+    last = after.position if after else len(channel.interactions)
+    end = after.end if after else detector_plane(channel.grid)
+    return _powers(channel, first, rim.position), _powers(channel, rim.position, last), end
+
+
+def _edge_wave(
+    setup: Setup, channel: Channel, rim: Rim, before: Rim | None, after: Rim | None, spots: np.ndarray
+) -> EdgeWave:
+    """How far the light from one neighbour to the next keeps from a rim, and how strong its wave is on the detector."""
+    sources, targets = _ends(channel, before, spots), _ends(channel, after, None)
+    leading, trailing, end = _pieces(channel, rim, before, after)
+    for places, between in ((sources, leading), (targets, trailing)):
+        if all(_lies_in(rim, one) for one in between) and np.abs(rim.plane.frame.to_local(places)[:, 2]).max() < _IN_PLANE:
+            return EdgeWave(rim, np.inf, 0.0)
+    starts, ends = np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
+    aimed = aim(Sequence((*leading, *trailing, end)), starts, ends)
+    good = aimed.converged
+    if not np.any(good):
+        return EdgeWave(rim, np.inf, 0.0)  # no light between these two comes over it
+    starts, ends, launch = starts[good], ends[good], aimed.launch[good]
+    hits = trace(Sequence((*leading, rim.end, *trailing, end)), starts, launch).points[len(leading)]
+    x, y, _ = rim.plane.frame.to_local(hits).T
+    outline = rim.plane.outline
+    nearest = int(np.nanargmin(outline.clearance(x, y)))
+    one = slice(nearest, nearest + 1)
+    curvature = _curvature(rim, leading, trailing, end, starts[one], ends[one], hits[one])
+    scale = np.sqrt(2 * curvature / setup.assembly.beam.wavelength)
+    v = float(outline.clearance(x, y)[nearest] * scale)
+    if v <= 0:
+        return EdgeWave(rim, v, 1.0)
+    waves = _waves(outline, x, y, scale, setup.assembly.beam.wavenumber * curvature)
+    wave = float(np.sqrt(np.mean(np.minimum(waves, 1.0) ** 2)))
+    passed = _share_coming(setup, channel, rim, before, spots) * _share_going_on(setup, channel, rim, after)
+    return EdgeWave(rim, v, wave * passed)
+
+
+def _lies_in(rim: Rim, interaction: Interaction) -> bool:
+    """Whether an interaction's surface is the rim's own plane."""
+    surface = interaction.surface
+    height = np.abs(rim.plane.frame.to_local(surface.frame.origin[None])[0, 2])
+    along = np.abs(surface.frame.axes[:, 2] @ rim.plane.frame.axes[:, 2])
+    return surface.is_plane and height < _IN_PLANE and along > 1 - _IN_PLANE**2
+
+
+def _waves(outline, x: np.ndarray, y: np.ndarray, scale: float, bend: float) -> np.ndarray:
+    """Strength (n,) of a rim's wave for rays through (x, y), relative to the light they carry.
+
+    scale: v per distance [1/mm]; bend: second derivative of the phase over the rim's plane [rad/mm^2]. Of a rectangle the
+    waves of its four sides; of a circle that of the nearest part, or of all parts together, J0(bend R r), whichever is
+    larger.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        def straight(distance: np.ndarray) -> np.ndarray:
+            return np.where(distance > 0, 1 / (np.pi * np.sqrt(2) * scale * distance), 1.0)
+
+        if isinstance(outline, Circle):
+            # Each ray stands for all of its part of the light: J0 is as large as 1 on the axis alone.
+            apart = np.sqrt((np.var(x) + np.var(y)) / (2 * len(x)))
+            turns = bend * outline.radius * np.maximum(np.hypot(x, y), apart)
+            return np.maximum(straight(outline.radius - np.hypot(x, y)), np.sqrt(np.minimum(1.0, 2 / (np.pi * turns))))
+        half_x, half_y = outline.half_size
+        sides = [half_x - x, half_x + x, half_y - y, half_y + y]
+        return np.sqrt(sum(straight(side) ** 2 for side in sides))
+
+
+def _share_coming(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots: np.ndarray) -> float:
+    """How strong the light is at a rim behind an opening: where the straight light keeps off it, what the edge throws there.
+
+    That is 1/(pi sqrt(2) v) of the light in the opening, v = x sqrt(2 / (lambda L)) for the distance x of the rim from the
+    light and L to the opening.
+    """
+    if before is None:
+        return 1.0
+    holes = hole_places(before.plane, _HOLE_SHARES, _HOLE_ANGLES)
+    starts, ends = np.repeat(spots, len(holes), axis=0), np.tile(holes, (len(spots), 1))
+    aimed = aim(Sequence((*_powers(channel, 0, before.position), before.end)), starts, ends)
+    good = aimed.converged
+    if not np.any(good):
+        return 1.0
+    system = Sequence((*_powers(channel, before.position, rim.position), rim.end))
+    hits = trace(system, ends[good], aimed.arrival[good]).points[-1]
+    hits = hits[np.all(np.isfinite(hits), axis=1)]
+    if not len(hits):
+        return 1.0
+    x, y, _ = rim.plane.frame.to_local(hits).T
+    length = float(np.linalg.norm(rim.plane.frame.origin - before.plane.frame.origin))
+    v = float(np.min(rim.plane.outline.clearance(x, y))) * np.sqrt(2 / (setup.assembly.beam.wavelength * max(length, 1e-9)))
+    return float(min(1.0, 1 / (np.pi * np.sqrt(2) * v))) if v > 0 else 1.0
+
+
+def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None) -> float:
+    """What of a rim's wave goes on from the next opening to the detector: all of it, or only what its edge throws there.
+
+    A wave from the rim comes to the opening from aside and leaves it to the other side: where that misses the detector by
+    a distance x, the opening's own edge throws 1/(pi sqrt(2) v) of it there, v = x sqrt(2 / (lambda L)).
+    """
+    if after is None:
+        return 1.0
+    _, trailing, _ = _pieces(channel, rim, None, after)
+    behind = _powers(channel, after.position, len(channel.interactions))
+    points, holes = _rim_points(rim, 16), hole_places(after.plane, _HOLE_SHARES, _HOLE_ANGLES)
+    starts, ends = np.repeat(points, len(holes), axis=0), np.tile(holes, (len(points), 1))
+    aimed = aim(Sequence((*trailing, after.end)), starts, ends)
+    good = aimed.converged
+    grid = channel.grid
+    length = float(np.linalg.norm(grid.centre - after.plane.frame.origin))
+    aside = length  # of what no ray brings over the opening
+    if np.any(good):
+        on = trace(Sequence((*behind, detector_plane(grid))), ends[good], aimed.arrival[good]).points[-1]
+        offset = on[np.all(np.isfinite(on), axis=1)] - grid.centre
+        beyond = [np.maximum(np.abs(offset @ axis) - half, 0.0)
+                  for axis, half in zip((grid.u, grid.v), grid.half_size, strict=True)]  # fmt: skip
+        aside = float(np.min(np.hypot(*beyond), initial=length))
+    v = aside * np.sqrt(2 / (setup.assembly.beam.wavelength * max(length, 1e-300)))
+    return float(min(1.0, 1 / (np.pi * np.sqrt(2) * v))) if v > 0 else 1.0
+
+
+def _curvature(rim: Rim, leading, trailing, end, source: np.ndarray, target: np.ndarray, hit: np.ndarray) -> float:
+    """Smallest curvature [1/mm] of the path source - point of the rim's plane - target around the ray's own point."""
+    frame = rim.plane.frame
+    middle = frame.to_world(frame.to_local(hit) * [1, 1, 0])
+    step = _STEP * min(rim.plane.outline.half_size)
+    offsets = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step
+    places = middle + offsets[:, :1] * frame.axes[:, 0] + offsets[:, 1:] * frame.axes[:, 1]
+    length = aim(Sequence((*leading, rim.end)), np.broadcast_to(source, places.shape), places).optical_path_length
+    length = length + aim(Sequence((*trailing, end)), places, np.broadcast_to(target, places.shape)).optical_path_length
+    second = [(length[k] + length[k + 1] - 2 * length[0]) / step**2 for k in (1, 3)]
+    if np.all(np.isfinite(second)):
+        return float(np.min(np.abs(second)))
+    # Where what lies close by lets no ray through aside, the nearer of the two ends tells how waves spread.
+    return float(1 / max(np.linalg.norm(hit - source), 1e-12) + 1 / max(np.linalg.norm(target - hit), 1e-12))
+
+
+def _rim_points(rim: Rim, count: int) -> np.ndarray:
+    """World points (n, 3) just inside an outline."""
+    angle = 2 * np.pi * (np.arange(count) + 0.5) / count
+    x, y = rim.plane.outline.edge(angle)
+    return rim.plane.frame.to_world(_INSIDE_RIM * np.stack([x, y, 0 * x], axis=1))

@@ -1,0 +1,270 @@
+"""What a ray meets next: exact crossings with the analytic faces of all elements, in float64.
+
+The order along a ray is that of its distances, which are exact to a hundredth of a nanometre: gaps of any width count,
+none included. Where two crossings coincide, glass comes before air on the way out and air before glass on the way in.
+Only opaque shapes and the target, whose forms may be anything, are asked of Mitsuba.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.plane import PlaneGrid
+from ..optics.surface import Surface
+from ..scene.elements import Element
+from .setup import Setup
+from .tracer import TARGET
+
+COINCIDENT = 1e-8
+"""Distance [mm] up to which two crossings are one."""
+
+NOTHING, DETECTOR, WALL = "nothing", "detector", "wall"
+FACE, HOLE, SCREEN, OPAQUE = "face", "hole", "screen", "opaque"
+AIR = -1
+"""Number of the glass that a ray is in where it is in none."""
+
+
+@dataclass(frozen=True)
+class Met:
+    """What n rays meet next.
+
+    distance: (n,) [mm], inf for nothing; thing: (n,) index into ``Meetings.things``; root: (n,) which of the two crossings
+    of a closed face it is, 0 the nearer one along the line.
+    """
+
+    distance: np.ndarray
+    thing: np.ndarray
+    root: np.ndarray
+
+
+@dataclass(frozen=True)
+class Thing:
+    """Something that a ray can meet: kind, number of its element (``TARGET`` for the target), and which face of it."""
+
+    kind: str
+    element: int = -9
+    face: int = -1
+
+
+class Meetings:
+    """All that rays can meet in a setup. things: in the order in which they are tried where distances are equal."""
+
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self.elements = setup.assembly.elements
+        self._faces: list[tuple[Thing, Surface]] = []
+        self.things = [Thing(NOTHING), Thing(DETECTOR), Thing(OPAQUE, TARGET)]
+        self._opaque = tuple(n for n, element in enumerate(self.elements) if element.kind == "opaque")
+        self.things += [Thing(OPAQUE, number) for number in self._opaque]
+        for number, element in enumerate(self.elements):
+            if element.kind == "opening":
+                self.things += [Thing(HOLE, number, 0), Thing(SCREEN, number, 0)]
+            for face in range(len(element.faces) if element.kind in ("mirror", "glass") else 0):
+                self.things.append(Thing(FACE, number, face))
+            if _has_wall(element):
+                self.things.append(Thing(WALL, number))
+        self._index = {thing: place for place, thing in enumerate(self.things)}
+        self._partners = _coincident_faces(self.elements)
+
+    @property
+    def detector(self) -> PlaneGrid:
+        return self._setup.assembly.detector
+
+    def name_of(self, thing: Thing) -> str:
+        """How messages call a thing."""
+        return "target" if thing.element == TARGET else self.elements[thing.element].name
+
+    def partner(self, number: int, face: int) -> tuple[int, int] | None:
+        """The face of another glass that touches a face all over, as in a cemented pair."""
+        return self._partners.get((number, face))
+
+    def passes_detector(self, places: np.ndarray, directions: np.ndarray) -> bool:
+        """Whether any ray crosses the detector's plane from its front."""
+        distance, _ = detector_crossing(self.detector, places, directions)
+        return bool(np.any(np.isfinite(distance) & (distance > 0)))
+
+    def next(
+        self, origin: np.ndarray, direction: np.ndarray, inside: int, left: tuple[int, int] | None
+    ) -> Met:
+        """What rays from origins (n, 3) along unit directions (n, 3) meet next.
+
+        inside: number of the glass that all are in, or ``AIR``; left: element and face that they have just left.
+        """
+        count = len(origin)
+        met = Met(np.full(count, np.inf), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64))
+        if inside == AIR:
+            self._air(met, origin, direction, left)
+        else:
+            self._glass(met, origin, direction, inside, left)
+        return met
+
+    def _glass(self, met: Met, origin, direction, inside: int, left) -> None:
+        """Inside a glass its own faces come first, then openings that it encloses, and the detector."""
+        for face in range(len(self.elements[inside].faces)):
+            self._face(met, origin, direction, inside, face, left)
+        for number, element in enumerate(self.elements):
+            if element.kind == "opening":
+                self._opening(met, origin, direction, number, left, strictly=True)
+
+    def _air(self, met: Met, origin, direction, left) -> None:
+        for number, element in enumerate(self.elements):
+            if element.kind == "opening":
+                self._opening(met, origin, direction, number, left, strictly=False)
+        self._detector(met, origin, direction)
+        for number, element in enumerate(self.elements):
+            if element.kind in ("mirror", "glass"):
+                for face in range(len(element.faces)):
+                    self._face(met, origin, direction, number, face, left)
+            if _has_wall(element) and (left is None or left[0] != number):
+                distance = _wall_crossing(element, origin, direction)
+                self._take(met, distance, Thing(WALL, number))
+        if self._opaque:
+            numbers, distance = self._setup.tracer.nearest_opaque(origin, direction)
+            for number in self._opaque:
+                self._take(met, np.where(numbers == number, distance, np.inf), Thing(OPAQUE, number))
+        if self._setup.assembly.target.points is None:
+            distance = self._setup.tracer.nearest_target(origin, direction, self._setup.frame)
+            self._take(met, distance, Thing(OPAQUE, TARGET))
+
+    def _take(self, met: Met, distance: np.ndarray, thing: Thing, root: np.ndarray | int = 0) -> None:
+        """Notes a thing where it is nearer than everything before, by more than what counts as one place."""
+        nearer = distance < met.distance - COINCIDENT
+        met.distance[nearer] = distance[nearer]
+        met.thing[nearer] = self._index[thing]
+        met.root[nearer] = np.broadcast_to(root, nearer.shape)[nearer]
+
+    def _face(self, met: Met, origin, direction, number: int, face: int, left) -> None:
+        element = self.elements[number]
+        surface = element.faces[face]
+        local, along = surface.frame.to_local(origin).T, (direction @ surface.frame.axes).T
+        if surface.is_plane:
+            lengths = _plane_crossing(surface, local, along)[None]
+        else:
+            lengths, _ = surface.crossings(local, along, element.closed)
+        least = COINCIDENT if left == (number, face) else -COINCIDENT
+        for root in range(len(lengths)):
+            distance = np.where(lengths[root] > least, lengths[root], np.inf)  # NaN is not larger
+            self._take(met, distance, Thing(FACE, number, face), root)
+
+    def _opening(self, met: Met, origin, direction, number: int, left, strictly: bool) -> None:
+        if left == (number, 0):
+            return
+        element = self.elements[number]
+        distance, in_hole, on_screen = screen_crossing(element, origin, direction)
+        # In glass a screen on the face that light leaves by stands in the air behind it.
+        limit = met.distance - COINCIDENT if strictly else np.inf
+        met_here = (distance > (COINCIDENT if strictly else -COINCIDENT)) & (distance < limit)
+        self._take(met, np.where(met_here & in_hole, distance, np.inf), Thing(HOLE, number, 0))
+        self._take(met, np.where(met_here & on_screen, distance, np.inf), Thing(SCREEN, number, 0))
+
+    def _detector(self, met: Met, origin, direction) -> None:
+        distance, inside = detector_crossing(self._setup.assembly.detector, origin, direction)
+        self._take(met, np.where(inside & (distance >= -COINCIDENT), distance, np.inf), Thing(DETECTOR))
+
+
+def screen_crossing(
+    element: Element, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance (n,) [mm] to the plane of an opening's screen; whether it is crossed in the hole; or on the screen."""
+    face = element.faces[0]
+    local, slope = face.frame.to_local(origin), direction @ face.frame.axes
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = -local[:, 2] / slope[:, 2]
+        x, y = (local[:, k] + distance * slope[:, k] for k in (0, 1))
+        hole = np.all(face.outline.margins(x, y) >= 0, axis=0)
+        screen = np.hypot(x, y) <= element.screen_radius
+    return np.where(np.isfinite(distance), distance, np.inf), hole, screen & ~hole
+
+
+def detector_crossing(
+    grid: PlaneGrid, origin: np.ndarray, direction: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (n,) [mm] to the detector's plane along rays that come from its front, else inf; whether in its area."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = direction @ grid.normal
+        distance = (grid.centre - origin) @ grid.normal / slope
+        hit = origin + distance[:, None] * direction - grid.centre
+        half_u, half_v = grid.half_size
+        inside = (np.abs(hit @ grid.u) <= half_u) & (np.abs(hit @ grid.v) <= half_v)
+    reached = (slope < 0) & np.isfinite(distance)
+    return np.where(reached, distance, np.inf), reached & inside
+
+
+def stands_between(element: Element, start: np.ndarray, direction: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Whether an element with analytic faces is met between the ends of segments, these not included, (n,).
+
+    start, direction: (n, 3), directions of unit length; distance: (n,) [mm] to the other end. A segment through a hole
+    counts, too: that is a way of its own.
+    """
+    def within(length: np.ndarray) -> np.ndarray:
+        return (length > COINCIDENT) & (length < distance - COINCIDENT)
+
+    if element.kind == "opening":
+        length, in_hole, on_screen = screen_crossing(element, start, direction)
+        return within(length) & (in_hole | on_screen)
+    between = np.zeros(len(start), dtype=bool)
+    for face in element.faces:
+        local, along = face.frame.to_local(start).T, (direction @ face.frame.axes).T
+        if face.is_plane:
+            between |= within(_plane_crossing(face, local, along))
+        else:
+            between |= np.any(within(face.crossings(local, along, element.closed)[0]), axis=0)
+    return between | within(_wall_crossing(element, start, direction)) if _has_wall(element) else between
+
+
+def _plane_crossing(surface: Surface, local: np.ndarray, along: np.ndarray) -> np.ndarray:
+    with np.errstate(divide="ignore", invalid="ignore"):
+        length = -local[2] / along[2]
+        x, y = local[:2] + length * along[:2]
+        outside = np.any(surface.outline.margins(x, y) < 0, axis=0) if surface.outline else False
+    return np.where(np.isfinite(length) & ~outside, length, np.nan)
+
+
+def _coincident_faces(elements: tuple[Element, ...]) -> dict[tuple[int, int], tuple[int, int]]:
+    """Faces of glasses that are the same surface as a face of another glass, each with that one."""
+    faces = [(number, face) for number, element in enumerate(elements) if element.kind == "glass" and not element.closed
+             for face in range(len(element.faces))]  # fmt: skip
+    found = {}
+    for one in faces:
+        for other in faces:
+            if one[0] != other[0] and _same_surface(elements[one[0]].faces[one[1]], elements[other[0]].faces[other[1]]):
+                found[one] = other
+    return found
+
+
+def _same_surface(one: Surface, other: Surface) -> bool:
+    """Whether two faces lie in each other, whichever way their frames are turned about the axis."""
+    offset = other.frame.origin - one.frame.origin
+    cosine = float(one.frame.axes[:, 2] @ other.frame.axes[:, 2])
+    reach = min(one.outline.reach, other.outline.reach)
+    if abs(abs(cosine) - 1) > (COINCIDENT / reach) ** 2 / 2 + 1e-15 or abs(offset @ one.frame.axes[:, 2]) > COINCIDENT:
+        return False
+    if one.is_plane and other.is_plane:
+        return True
+    same_form = abs(one.curvature - np.sign(cosine) * other.curvature) * reach**2 / 2 < COINCIDENT
+    return same_form and abs(one.conic - other.conic) < COINCIDENT and np.linalg.norm(offset) < COINCIDENT
+
+
+def _has_wall(element: Element) -> bool:
+    """Whether a glass has a rim beside its two faces, as a lens has."""
+    return element.kind == "glass" and len(element.faces) == 2
+
+
+def _wall_crossing(element: Element, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Distance (n,) [mm] to the cylinder between the rims of a lens, inf where it is not met."""
+    front, back = element.faces
+    radius = front.outline.reach
+    ends = [face.sag(np.array(radius**2)) + (face.frame.origin - front.frame.origin) @ front.frame.axes[:, 2]
+            for face in (front, back)]  # fmt: skip
+    p, d = front.frame.to_local(origin).T, (direction @ front.frame.axes).T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b, c = d[0] ** 2 + d[1] ** 2, p[0] * d[0] + p[1] * d[1], p[0] ** 2 + p[1] ** 2 - radius**2
+        root = np.sqrt(b * b - a * c)
+        found = np.full(len(origin), np.inf)
+        for length in ((-b - root) / a, (-b + root) / a):
+            z = p[2] + length * d[2]
+            hit = (length > COINCIDENT) & (z > min(ends) + COINCIDENT) & (z < max(ends) - COINCIDENT)
+            found = np.where(hit, np.minimum(found, length), found)
+    return found

@@ -1,0 +1,416 @@
+"""The ways of the light from one place to the next opening or to the detector, over mirrors and through glasses.
+
+A way is a sequence of faces. Rays are followed from the start towards every face; what they meet makes sequences. From
+each sequence every other face, every opening and the detector is *aimed* at, so that a way need not be hit by chance:
+what test rays propose is only where the search begins. A ray that has been aimed is followed through all that stands in
+the setup again, which alone decides whether its way is free.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ..geometry.frames import Frame
+from ..geometry.rotation import vectors_across
+from ..optics.aim import aim
+from ..optics.sequence import Interaction, Sequence, detector_plane
+from ..optics.surface import Surface
+from ..optics.trace import RayStatus, trace
+from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings
+from .unfolding import launch_over_planes
+
+MAX_INTERACTIONS = 32
+"""Rays that have not arrived after this many surfaces are given up."""
+
+MOST_SEQUENCES = 400
+"""Sequences of faces from one start that are looked into: facing mirrors have no end of them."""
+
+MOST_REFLECTIONS = 1
+"""Reflections one after the other at the inside of one closed mirror."""
+
+RAYS_KEPT = 64
+"""Rays of a sequence that are kept to aim from."""
+
+_ACROSS = 7
+"""Places a side on a face that rays are sent to."""
+
+_AIMED = 3
+"""Rounds in which the middle of a narrow way is closed in on."""
+
+_SPREAD = np.array([[0, 0], [0.7, 0], [-0.7, 0], [0, 0.7], [0, -0.7], [0.5, 0.5], [-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+"""Places on a face, in half sizes, that are aimed at."""
+
+Step = tuple[int, int, str, str]
+"""(element, face, action, root) of an interaction."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """Where rays begin: points (m, 3) [mm], in the glass ``inside`` or in ``AIR``.
+
+    normal: rays go only to its side, (3,), or to all sides (None); left: element and face that the points lie on.
+    """
+
+    points: np.ndarray
+    inside: int = AIR
+    normal: np.ndarray | None = None
+    left: tuple[int, int] | None = None
+
+
+@dataclass(frozen=True)
+class Chain:
+    """A way from a start to an opening or the detector.
+
+    steps, interactions: at the faces between, in order; end: number of the opening's element, or None for the detector;
+    side: sign of the light's direction along the opening's normal; inside: glass that the end lies in, or ``AIR``;
+    starts, launches: (n, 3) of the rays that take it.
+    """
+
+    steps: tuple[Step, ...]
+    interactions: tuple[Interaction, ...]
+    end: int | None
+    side: int
+    inside: int
+    starts: np.ndarray
+    launches: np.ndarray
+
+    @property
+    def rays(self) -> int:
+        return len(self.starts)
+
+
+@dataclass
+class _Sequence:
+    """Faces that light has gone over, and rays that are known to do so."""
+
+    steps: tuple[Step, ...]
+    interactions: tuple[Interaction, ...]
+    inside: int
+    left: tuple[int, int] | None
+    starts: list[np.ndarray] = field(default_factory=list)
+    launches: list[np.ndarray] = field(default_factory=list)
+    met: set[tuple[int, int]] = field(default_factory=set)
+    passes_detector: bool = False
+
+    def note(self, starts: np.ndarray, launches: np.ndarray) -> None:
+        held = sum(map(len, self.starts))
+        if held < RAYS_KEPT:
+            some = slice(None, None, max(1, len(starts) // (RAYS_KEPT - held)))
+            self.starts.append(starts[some])
+            self.launches.append(launches[some])
+
+    @property
+    def has_power(self) -> bool:
+        return any(i.action == "refract" or not i.surface.is_plane for i in self.interactions)
+
+
+class Search:
+    """Everything that light from one start can do up to the next opening or the detector.
+
+    chains: the ways found; stopped: how many rays each element ended; beside: sequences whose rays pass the detector by.
+    """
+
+    def __init__(self, meetings: Meetings, start: Start) -> None:
+        self._meetings, self._start = meetings, start
+        self._grid = meetings.detector
+        self.stopped: Counter = Counter()
+        self._sequences: dict[tuple[Step, ...], _Sequence] = {}
+        self._arrived: dict[tuple, list[tuple[np.ndarray, np.ndarray]]] = {}
+        self._waiting: list[_Sequence] = []
+        self._sequence_of((), (), start.inside, start.left)
+        self._send(start.points, self._first_targets())
+        while self._waiting:
+            self._aim_from(self._waiting.pop(0))
+
+    def chains(self) -> list[Chain]:
+        """The ways that were found, those of most rays first."""
+        found = []
+        for (steps, end, side), rays in self._arrived.items():
+            sequence = self._sequences[steps]
+            starts, launches = (np.concatenate(part) for part in zip(*rays, strict=True))
+            interactions = _with_places(sequence.interactions, starts, launches)
+            found.append(Chain(steps, interactions, end, side, sequence.inside, starts, launches))
+        return sorted(found, key=lambda chain: -chain.rays)
+
+    def beside(self) -> list[Chain]:
+        """Ways over at least one face on which rays cross the detector's plane beside its area."""
+        return [
+            Chain(s.steps, _with_places(s.interactions, *self._rays_of(s)), None, 0, s.inside, *self._rays_of(s))
+            for s in self._sequences.values()
+            if s.passes_detector and s.steps
+        ]
+
+    # Following
+
+    def _send(self, points: np.ndarray, targets: np.ndarray) -> None:
+        """Follows rays from every point (m, 3) towards every target (k, 3)."""
+        starts, ends = np.repeat(points, len(targets), axis=0), np.tile(targets, (len(points), 1))
+        self._follow(starts, ends - starts)
+
+    def _follow(self, starts: np.ndarray, launches: np.ndarray) -> None:
+        """Follows rays to their ends, noting every sequence that they take."""
+        length = np.linalg.norm(launches, axis=1)
+        keep = length > 0
+        if self._start.normal is not None:
+            keep &= launches @ self._start.normal > 0
+        starts, launches = starts[keep], launches[keep] / length[keep, None]
+        root = self._sequences[()]
+        waiting = [(root, starts, launches, starts, launches)]
+        for _ in range(MAX_INTERACTIONS):
+            waiting = [further for bundle in waiting for further in self._advance(*bundle)]
+            if not waiting:
+                return
+
+    def _advance(self, sequence: _Sequence, starts, launches, places, directions) -> Iterator[tuple]:
+        """Takes rays of one sequence to what they meet next; gives those that go on, by their longer sequences."""
+        if not len(starts):
+            return
+        sequence.note(starts, launches)
+        met = self._meetings.next(places, directions, sequence.inside, sequence.left)
+        for place in np.unique(met.thing):
+            thing, one = self._meetings.things[place], met.thing == place
+            rays = starts[one], launches[one]
+            if thing.kind == FACE:
+                sequence.met.add((thing.element, thing.face))
+                for root in np.unique(met.root[one]):
+                    some = one & (met.root == root)
+                    bundle = starts[some], launches[some], places[some], directions[some], met.distance[some]
+                    yield from self._meet(sequence, thing.element, thing.face, int(root), *bundle)
+            elif thing.kind == HOLE:
+                normal = self._meetings.elements[thing.element].faces[0].frame.axes[:, 2]
+                slope = directions[one] @ normal
+                for side in (-1, 1):
+                    chosen = np.sign(slope) == side
+                    if np.any(chosen):
+                        self._arrive(sequence, thing.element, side, *(part[chosen] for part in rays))
+            elif thing.kind == DETECTOR:
+                self._arrive(sequence, None, 0, *rays)
+            elif thing.kind == NOTHING:
+                sequence.passes_detector |= self._meetings.passes_detector(places[one], directions[one])
+                self.stopped[NOTHING] += int(np.count_nonzero(one))
+            else:
+                self.stopped[self._meetings.name_of(thing)] += int(np.count_nonzero(one))
+
+    def _meet(self, sequence: _Sequence, number: int, face: int, root: int, starts, launches, places, directions,
+              distance) -> Iterator[tuple]:  # fmt: skip
+        """One face acts on rays: refraction, reflection, or the end."""
+        element = self._meetings.elements[number]
+        within = sequence.inside == number
+        interaction = self._interaction(element, face, within, root, places, directions, distance)
+        partner = self._meetings.partner(number, face) if within and interaction.action == "refract" else None
+        if partner is not None:
+            interaction = replace(interaction, index_after=self._meetings.elements[partner[0]].index)
+        result = trace(Sequence((interaction,)), places, directions)
+        total = result.status == RayStatus.TOTAL_INTERNAL_REFLECTION
+        good = result.valid & (np.abs(result.optical_path_length / interaction.index_before - distance) < 1e3 * COINCIDENT)
+        self.stopped[element.name] += int(np.count_nonzero(~good & ~total))
+        if interaction.action == "reflect":
+            inside = sequence.inside
+        elif within:
+            inside = AIR if partner is None else partner[0]
+        else:
+            inside = number
+        left = partner if partner is not None else (number, face)
+        for chosen, what, to in ((good, interaction, inside), (total, _mirror(interaction), sequence.inside)):
+            if not np.any(chosen):
+                continue
+            step = (number, face, what.action, what.root)
+            after = result if what is interaction else trace(Sequence((what,)), places, directions)
+            longer = self._sequence_of((*sequence.steps, step), (*sequence.interactions, what), to,
+                                       left if what is interaction else (number, face))  # fmt: skip
+            if longer is not None:
+                yield longer, starts[chosen], launches[chosen], after.points[0, chosen], after.directions[chosen]
+
+    def _interaction(self, element, face: int, within: bool, root: int, places, directions, distance) -> Interaction:
+        """A face's interaction with the crossing at which rays really meet it."""
+        interaction = element.interaction(face, within, root)
+        surface = interaction.surface
+        if element.closed or surface.is_plane or surface.conic <= -1.0:
+            return interaction
+        local, along = surface.frame.to_local(places).T, (directions @ surface.frame.axes).T
+        length, _ = surface.intersect(local, along, interaction.root)
+        agree = np.abs(length - distance) < 1e3 * COINCIDENT
+        return interaction if 2 * np.count_nonzero(agree) >= len(agree) else replace(interaction, root=("near", "far")[root])
+
+    def _sequence_of(self, steps, interactions, inside: int, left) -> _Sequence | None:
+        """The sequence of these steps; None where it is not looked into any more."""
+        if steps not in self._sequences:
+            if len(self._sequences) >= MOST_SEQUENCES or len(steps) >= MAX_INTERACTIONS:
+                return None
+            if len(steps) > MOST_REFLECTIONS and self._bounces(steps):
+                return None
+            self._sequences[steps] = _Sequence(steps, interactions, inside, left)
+            self._waiting.append(self._sequences[steps])
+        return self._sequences[steps]
+
+    def _bounces(self, steps: tuple[Step, ...]) -> bool:
+        """Whether light goes to and fro inside one closed mirror."""
+        number, *_ = steps[-1]
+        closed = self._meetings.elements[number].closed and self._meetings.elements[number].kind == "mirror"
+        return closed and all(step[0] == number for step in steps[-MOST_REFLECTIONS - 1 :])
+
+    def _arrive(self, sequence: _Sequence, end: int | None, side: int, starts, launches) -> None:
+        self._arrived.setdefault((sequence.steps, end, side), []).append((starts, launches))
+
+    # Aiming
+
+    def _first_targets(self) -> np.ndarray:
+        """Places (k, 3) on every face, opening and body, and on the detector."""
+        side = np.linspace(-0.97, 0.97, _ACROSS)
+        share = np.stack([part.ravel() for part in np.meshgrid(side, side)], axis=1)
+        places = [_on_grid(self._grid, share)]
+        for element in self._meetings.elements:
+            places += [_on_face(face, element.closed, share) for face in element.faces]
+            places.append(element.body.bounds.mean(axis=0, keepdims=True))
+        return np.concatenate(places)
+
+    def _aim_from(self, sequence: _Sequence) -> None:
+        """Aims at everything that the rays of a sequence have not met by themselves."""
+        if not sequence.starts:
+            return
+        ends = [(None, side) for side in (0,)] + [
+            (n, side) for n, element in enumerate(self._meetings.elements) if element.kind == "opening"
+            for side in (-1, 1)
+        ]  # fmt: skip
+        arrived = {(end, side) for steps, end, side in self._arrived if steps == sequence.steps}
+        if sequence.inside == AIR:
+            if not any(end is None for end, _ in arrived):
+                self._aim_at(sequence, detector_plane(self._grid).surface, _on_grid(self._grid, _SPREAD), None)
+            for number in dict.fromkeys(end for end, _ in ends if end is not None):
+                if not any(end == number for end, _ in arrived) and (number, 0) != sequence.left:
+                    face = self._meetings.elements[number].faces[0]
+                    self._aim_at(sequence, face, _on_face(face, False, _SPREAD), None)
+            for number, element in enumerate(self._meetings.elements):
+                for place, face in enumerate(element.faces if element.kind in ("mirror", "glass") else ()):
+                    if (number, place) not in sequence.met and (number, place) != sequence.left:
+                        self._aim_at(sequence, *self._plane_at(sequence, face, element.closed), (number, place))
+
+    def _plane_at(self, sequence: _Sequence, face: Surface, closed: bool) -> tuple[Surface, np.ndarray]:
+        """A plane through a face, and places on it that are aimed at."""
+        if face.is_plane:
+            return face, _on_face(face, False, _SPREAD)
+        if not closed:
+            sag = float(face.sag(np.array((0.7 * face.outline.reach) ** 2)))
+            plane = Surface(Frame(face.frame.origin + sag * face.frame.axes[:, 2], face.frame.axes))
+            return plane, _on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), _SPREAD, face.outline.centre)
+        radius = 1 / abs(face.curvature)
+        centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+        last = sequence.interactions[-1].place if sequence.interactions else sequence.starts[0][0]
+        axis = (centre - last) / max(np.linalg.norm(centre - last), 1e-300)
+        plane = Surface(Frame(centre, _axes_along(axis)))
+        return plane, _on_plane(plane.frame, 0.9 * np.array([radius, radius]), _SPREAD, (0.0, 0.0))
+
+    def _aim_at(self, sequence: _Sequence, plane: Surface, targets: np.ndarray, face: tuple[int, int] | None) -> None:
+        """Follows the rays over a sequence that are aimed at targets (k, 3) in a plane, closing in on a narrow way."""
+        if not sequence.steps or not self._may_reach(sequence, targets):
+            return  # from the start itself rays have gone to every face
+        frame = plane.frame
+        centre, spread = targets[0], targets - targets[0]
+        for round_ in range(_AIMED):
+            places = centre + spread * 0.5**round_
+            launches, margin = self._launches(sequence, Surface(frame), places)
+            found = np.isfinite(margin)
+            if not np.any(found):
+                return
+            if np.any(margin[found] >= 0):
+                starts, _ = self._rays_of(sequence)
+                good = found & (margin >= 0)
+                self._follow(np.broadcast_to(starts[0], launches[good].shape), launches[good])
+                return
+            centre = places[np.nanargmax(margin)]
+
+    def _launches(self, sequence: _Sequence, plane: Surface, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Launch directions (k, 3) over a sequence to places (k, 3), and the least clearance of rims, NaN for no ray."""
+        starts, _ = self._rays_of(sequence)
+        source = np.broadcast_to(starts[0], places.shape)
+        margin = np.full(len(places), np.nan)
+        system = Sequence((*self._placed(sequence), Interaction.through(plane, self._index(sequence))))
+        if sequence.has_power:
+            aimed = aim(system, source, places)
+            good = aimed.converged
+            margin[good] = aimed.margins[:, good].min(axis=0) if len(aimed.margins) else 1.0
+            return np.nan_to_num(aimed.launch), margin
+        launches = launch_over_planes(sequence.interactions, source, places)
+        traced = trace(system, source, launches)
+        good = traced.status <= RayStatus.OUTSIDE_OUTLINE
+        margin[good] = traced.margins[:, good].min(axis=0) if len(traced.margins) else 1.0
+        return launches, margin
+
+    def _placed(self, sequence: _Sequence) -> tuple[Interaction, ...]:
+        return _with_places(sequence.interactions, *self._rays_of(sequence))
+
+    def _index(self, sequence: _Sequence) -> float:
+        return 1.0 if sequence.inside == AIR else self._meetings.elements[sequence.inside].index
+
+    def _rays_of(self, sequence: _Sequence) -> tuple[np.ndarray, np.ndarray]:
+        return np.concatenate(sequence.starts), np.concatenate(sequence.launches)
+
+    def _may_reach(self, sequence: _Sequence, targets: np.ndarray) -> bool:
+        """Whether any target lies on the side of the last face that light leaves to, as far as planes tell."""
+        last = sequence.interactions[-1]
+        if not last.surface.is_plane:
+            return True
+        starts, launches = self._rays_of(sequence)
+        going = trace(Sequence(sequence.interactions), starts, launches).directions @ last.surface.frame.axes[:, 2]
+        side = np.sign(np.nanmedian(going))
+        heights = (targets - last.surface.frame.origin) @ last.surface.frame.axes[:, 2]
+        return bool(np.any(side * heights > -COINCIDENT))
+
+
+def _mirror(interaction: Interaction) -> Interaction:
+    """Total reflection inside the glass, at a face that light does not leave by."""
+    return Interaction.reflect(interaction.surface, interaction.index_before, interaction.root)
+
+
+def _with_places(interactions: tuple[Interaction, ...], starts, launches) -> tuple[Interaction, ...]:
+    """Interactions that know where on their surfaces rays of their own meet them."""
+    if not interactions:
+        return ()
+    points = trace(Sequence(interactions), starts, launches).points
+    placed = []
+    for interaction, hits in zip(interactions, points, strict=True):
+        local = interaction.surface.frame.to_local(hits[np.all(np.isfinite(hits), axis=1)])
+        if len(local):
+            middle = local.mean(axis=0)
+            near = local[np.argmin(np.linalg.norm(local - middle, axis=1))]
+            interaction = replace(interaction, near=near)
+        placed.append(interaction)
+    return tuple(placed)
+
+
+def _on_grid(grid, share: np.ndarray) -> np.ndarray:
+    """Places on the detector at shares (k, 2) of its half sizes, to the middles of the outermost pixels."""
+    half = 0.5 * grid.pitch * (np.array(grid.shape[::-1]) - 1)
+    return grid.centre + (share[:, :1] * half[0]) * grid.u + (share[:, 1:] * half[1]) * grid.v
+
+
+def _on_face(face: Surface, closed: bool, share: np.ndarray) -> np.ndarray:
+    """Places on a face inside its rim, or all over a closed one."""
+    if closed:
+        count = len(share)
+        number = np.arange(2 * count) + 0.5
+        z = 1 - number / count
+        angle = np.pi * (1 + 5**0.5) * number
+        ring = np.sqrt(1 - z * z)
+        centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+        return centre + np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1) / abs(face.curvature)
+    # A square of shares on a round face: its corners are drawn in to the rim.
+    disc = share * (np.maximum(np.abs(share).max(axis=1), 1e-300) / np.maximum(np.hypot(*share.T), 1e-300))[:, None]
+    disc[np.all(share == 0, axis=1)] = 0
+    half = np.array(face.outline.half_size)
+    x, y = (np.array(face.outline.centre)[:, None] + (half * (disc if face.outline.is_round else share)).T)
+    return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
+
+
+def _on_plane(frame: Frame, half: np.ndarray, share: np.ndarray, middle) -> np.ndarray:
+    local = np.array(middle) + half * share
+    return frame.to_world(np.column_stack([local, np.zeros(len(share))]))
+
+
+def _axes_along(axis: np.ndarray) -> np.ndarray:
+    """(3, 3) axes with z along a unit vector."""
+    return np.column_stack([*vectors_across(axis), axis])

@@ -1,0 +1,82 @@
+"""How much of the light a way brings straight to the detector, and how much its edges alone throw there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..geometry.plane import PlaneGrid
+from ..optics.aim import aim
+from ..optics.sequence import Interaction, Sequence, detector_plane
+from ..optics.surface import Surface
+from ..optics.trace import trace
+from .edges import detector_places
+from .routes import Route, hole_places
+from .setup import Setup
+
+_HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 0.98), 8
+
+
+@dataclass(frozen=True)
+class Strength:
+    """Of a way's light on the detector.
+
+    lit: whether straight light arrives in its area; share: amplitude of what arrives relative to straight light, 1 where
+    lit; amplitude: of straight light over its length [1/mm].
+    """
+
+    lit: bool
+    share: float
+    amplitude: float
+
+
+def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...], grid: PlaneGrid, spots) -> Strength:
+    """How strong a way's light is; interactions, grid: the way with plane mirrors unfolded.
+
+    From one place to the next (spot, openings, detector) rays go straight on. Where they miss the next by a distance x, the
+    edge of the opening before throws 1/(pi sqrt(2) v) of them there, v = x sqrt(2 / (lambda L)).
+    """
+    stops = [n for n, step in enumerate(route.steps) if step[2] == "pass"]
+    share, places, start = 1.0, spots, 0
+    directions = None
+    length = 0.0
+    for stop in (*stops, None):
+        last = len(interactions) if stop is None else stop
+        between = tuple(i for i in interactions[start:last] if i.action != "pass")
+        if stop is None:
+            end, goals = detector_plane(grid), detector_places(grid)
+            size = grid.half_size
+        else:
+            plane = interactions[stop].surface
+            end, goals = Interaction.through(Surface(plane.frame), interactions[stop].index_before), _hole(plane)
+            size = plane.outline.half_size
+        if directions is not None:
+            share *= _arriving(setup, between, end, places, directions, goals, size)
+        starts, ends = np.repeat(places, len(goals), axis=0), np.tile(goals, (len(places), 1))
+        aimed = aim(Sequence((*between, end)), starts, ends)
+        good = aimed.converged
+        if np.any(good):
+            length += float(np.mean(aimed.optical_path_length[good]))
+        places, directions, start = ends[good], aimed.arrival[good], last
+        if not len(places):
+            places, directions = goals, None
+    return Strength(share == 1.0, share, 1 / max(length, 1e-300))
+
+
+def _hole(plane: Surface) -> np.ndarray:
+    return hole_places(plane, _HOLE_SHARES, _HOLE_ANGLES)
+
+
+def _arriving(setup: Setup, between, end: Interaction, places, directions, goals: np.ndarray, size) -> float:
+    """What of the light that goes straight on from an opening arrives within the next one, or on the detector."""
+    on = trace(Sequence((*between, end)), places, directions).points[-1]
+    on = on[np.all(np.isfinite(on), axis=1)]
+    middle = goals.mean(axis=0)
+    length = float(np.linalg.norm(middle - places.mean(axis=0)))
+    aside = length
+    if len(on):
+        local = end.surface.frame.to_local(on)[:, :2] - end.surface.frame.to_local(middle[None])[0, :2]
+        aside = float(np.min(np.hypot(*(np.maximum(np.abs(local) - np.array(size), 0.0)).T)))
+    v = aside * np.sqrt(2 / (setup.assembly.beam.wavelength * max(length, 1e-300)))
+    return float(min(1.0, 1 / (np.pi * np.sqrt(2) * v))) if v > 0 else 1.0

@@ -1,0 +1,197 @@
+"""Reads a loaded Mitsuba scene into an assembly. Nothing of the scene is kept or changed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import combinations
+
+import mitsuba as mi
+import numpy as np
+
+from ..geometry.frames import Frame
+from ..machine.memory import excess
+from ..scattering.beam import Beam
+from ..scattering.rough_surface import RoughSurface
+from .assembly import GRAZING, Assembly, Target
+from .body import Body
+from .elements import Element
+from .errors import SceneError
+from .materials import medium_around
+from .parameters import integer_of, value_of
+from .shapes import elements_of, shapes_of
+
+_ON_SURFACE = 1e-9
+"""Depth in a glass, relative to its size, up to which a point still counts as on its surface."""
+
+MAX_SUB_PIXELS = 10_000
+"""Most sub-pixels a pixel: as many fields are computed."""
+
+BYTES_PER_PIXEL = 40
+"""Memory of one frame at its peak: the field (16), its intensity (4), a working copy (16) and what is done in tiles."""
+
+
+def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: int = 0) -> Assembly:
+    """Collects the assembly of a loaded scene.
+
+    Raises SceneError when a laser, target, detector or coherent integrator is missing or there are several, and for
+    every shape that cannot be taken into account.
+    """
+    laser = _only(scene.emitters(), "emitter", "laser")
+    shape = _only(scene.shapes(), "shape", "rough_target")
+    detector = sensor if sensor is not None else _only(scene.sensors(), "sensor", "detector")
+    if role_of(detector) != "detector":
+        raise SceneError(f"sensor {detector.id()!r} is a {detector.class_name()}, must be a detector")
+    integrator = scene.integrator()
+    if role_of(integrator) != "coherent":
+        found = "none" if integrator is None else integrator.class_name()
+        raise SceneError(f"the scene's integrator is {found}, must be <integrator type=\"coherent\"/>")
+    for emitter in scene.emitters():
+        if emitter is not laser:
+            raise SceneError(
+                f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: "
+                "its light would be left out, remove it"
+            )
+    _require_memory(detector)
+    shapes = shapes_of(scene, shape)
+    medium = medium_around(shapes, shape)
+    elements = tuple(elements_of(shapes, shape, medium))
+    beam = laser.beam()
+    beam, target = _aim(replace(beam, wavelength=beam.wavelength / medium), shape)
+    _require_apart(elements)
+    assembly = Assembly(
+        beam=beam,
+        target=target,
+        elements=elements,
+        detector=detector.grid(),
+        options=integrator.options,
+        pose=shape.pose(),
+        sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
+        index=medium,
+    )
+    _require_in_air(elements, f"{detector.where}: the detector's centre", assembly.detector.centre)
+    _require_in_air(elements, f"{shape.where}: the middle of the spot", assembly.spot.point)
+    return assembly
+
+
+def role_of(plugin: object) -> str | None:
+    """What a plugin of this package is in a scene, by the name that scenes call it; None for any other."""
+    return getattr(plugin, "role", None)
+
+
+def _require_memory(detector: mi.Sensor) -> None:
+    """SceneError where one image alone would take more memory than the machine has, or has no pixel."""
+    columns, rows = (int(n) for n in detector.film().size())
+    if columns < 1 or rows < 1:
+        raise SceneError(f"{detector.where}: the film has {columns} x {rows} pixels, must have at least 1 x 1")
+    if too_much := excess(BYTES_PER_PIXEL * columns * rows):
+        raise SceneError(f"{detector.where}: {columns} x {rows} pixels {too_much}: set a smaller width or height")
+
+
+def _require_apart(elements: tuple[Element, ...]) -> None:
+    """SceneError where two screens lie in each other: light would go from the one to the other over no distance."""
+    for first, second in combinations([element for element in elements if element.kind == "opening"], 2):
+        a, b = first.faces[0].frame, second.faces[0].frame
+        offset, room = b.origin - a.origin, (first.size + second.size) / 2
+        parallel = np.linalg.norm(np.cross(a.axes[:, 2], b.axes[:, 2])) < _ON_SURFACE
+        if parallel and abs(offset @ a.axes[:, 2]) < _ON_SURFACE * room and np.linalg.norm(offset) < room:
+            raise SceneError(
+                f"apertures {first.name!r} and {second.name!r} lie in one plane and overlap, must stand apart: "
+                "make one opening of them"
+            )
+
+
+def _require_in_air(elements: tuple[Element, ...], what: str, point: np.ndarray) -> None:
+    """SceneError where a point (3,) lies inside a glass, where no way of the light begins or ends."""
+    for element in elements:
+        if element.kind == "glass" and _is_inside(element, point):
+            raise SceneError(f"{what} lies inside the glass of {element.name!r}, must lie outside")
+
+
+def _is_inside(element: Element, point: np.ndarray) -> bool:
+    """Whether a point (3,) lies between the faces of a glass, by more than rounding."""
+    if element.closed:
+        face = element.faces[0]
+        centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+        return float(np.linalg.norm(point - centre)) < (1 - _ON_SURFACE) / abs(face.curvature)
+    middle = np.mean([face.frame.origin for face in element.faces], axis=0)
+    depths = []
+    for face in element.faces:
+        (x, y, z), (_, _, inwards) = face.frame.to_local(np.array([point, middle]))
+        if np.any(face.outline.margins(x, y) < 0):
+            return False
+        depths.append((z - face.sag(x * x + y * y)) * np.sign(inwards))
+    return min(depths) > _ON_SURFACE * element.size
+
+
+def _only(candidates: list, kind: str, plugin: str):
+    found = [candidate for candidate in candidates if role_of(candidate) == plugin]
+    if len(found) != 1:
+        names = ", ".join(candidate.where.partition(" ")[2] for candidate in found)
+        tag = f"<{kind} type={plugin!r}>"
+        there = f"{len(found)} of {tag}: {names}" if found else f"no {tag}"
+        raise SceneError(f"the scene has {there}, must have exactly one")
+    return found[0]
+
+
+def _sub_pixels(samples: int) -> int:
+    """Side of the square of sub-pixels that holds at least ``samples`` of them. SceneError for too many."""
+    if samples > MAX_SUB_PIXELS:
+        raise SceneError(f"{samples} sub-pixels a pixel (spp, sample_count): must be at most {MAX_SUB_PIXELS}")
+    return max(1, int(np.ceil(np.sqrt(samples) - 1e-9)))
+
+
+def _aim(beam: Beam, shape: mi.Shape) -> tuple[Beam, Target]:
+    """The beam aimed at where its axis meets the target at rest, and the target with its density of scatterers."""
+    frame, facets = shape.placement.frame, shape.facets
+    spot, normal = _where_axis_meets(facets, frame, beam, shape.where, required=shape.points is None)
+    beam = beam.aimed_at(beam.origin + ((spot - beam.origin) @ beam.axis) * beam.axis)
+    if np.isinf(beam.radius):
+        density = shape.point_sources / float(np.sum(facets.area))
+    else:
+        density = shape.point_sources * abs(float(normal @ beam.axis)) / (np.pi * beam.radius**2)
+    surface = RoughSurface(
+        facets=facets,
+        density=density,
+        roughness=value_of(shape.roughness) * 1e-3,
+        correlation_length=value_of(shape.correlation_length) * 1e-3,
+        seed=integer_of(shape.seed),
+    )
+    return beam, Target(
+        frame=frame,
+        surface=surface,
+        points=shape.points,
+        body=Body.mesh(*shape.rest_mesh),
+        lobe=_lobe(shape) if shape.lobe else None,
+        point_sources=shape.point_sources,
+        where=shape.where,
+    )
+
+
+def _lobe(shape: mi.Shape) -> dict:
+    """The target's BSDF as plain data. SceneError where the scene was loaded in a way that tells nothing of it."""
+    recipe = shape.bsdf_recipe
+    if recipe is None:
+        raise SceneError(
+            f"{shape.where}: 'lobe' needs the BSDF as the scene describes it, which is not known: load the scene with "
+            "mi.load_file, mi.load_string or mi.load_dict, the BSDF written out in it"
+        )
+    return recipe
+
+
+def _where_axis_meets(facets, frame: Frame, beam: Beam, where: str, required: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Where the beam's axis first meets the surface, else the target's plane: point and normal (3,) in the world."""
+    met = facets.first_met(frame, beam.origin, beam.axis)
+    if met is not None:
+        if met[1] @ beam.axis > 0 and required:
+            raise SceneError(
+                f"{where}: the laser lights the back of the target (its normal points away from the laser), "
+                "must light its front: turn the target, or the faces of its mesh"
+            )
+        return met
+    normal = frame.axes[:, 2]
+    slope = normal @ beam.axis
+    if abs(slope) < GRAZING:
+        if required:
+            raise SceneError(f"{where}: the laser's axis runs along the target's surface, must meet it")
+        return frame.origin, normal
+    return beam.origin + ((frame.origin - beam.origin) @ normal) / slope * beam.axis, normal
