@@ -25,7 +25,9 @@ def read_image(path: str | os.PathLike, page: int | None = None, channel: str | 
     if not path.is_file() or is_exr(path):
         return read_field(path, channel, page)
     if channel is not None:
-        raise FieldImageError(f"{path}: is not OpenEXR and has no channels by name, --channel {channel} must be left out")
+        raise FieldImageError(
+            f"{path}: is not OpenEXR and has no channels by name, --channel {channel} must be left out"
+        )
     with open(path, "rb") as file:
         start = file.read(8)
     values = read_tiff(path, page) if is_tiff(start) else read_raster(path, page)

@@ -20,9 +20,7 @@ def on_common_pixels(reference: FieldImage, moved: FieldImage) -> tuple[np.ndarr
     another place, are completed with darkness instead where they share too little. Raises FieldImageError for images
     that have too little in common for either.
     """
-    boxes = [
-        [(o, o + n) for o, n in zip(image.origin, image.intensity.shape)] for image in (reference, moved)
-    ]
+    boxes = [[(o, o + n) for o, n in zip(image.origin, image.intensity.shape)] for image in (reference, moved)]
     if boxes[0] == boxes[1]:
         return reference.intensity, moved.intensity, ""
     shared = [(max(a[0], b[0]), min(a[1], b[1])) for a, b in zip(*boxes)]

@@ -33,7 +33,9 @@ def read_raster(path: Path, page: int | None) -> np.ndarray:
             warnings.simplefilter("ignore")  # of Pillow's own limit on pixels: the memory there is decides
             with Image.open(path) as picture:
                 picture.seek(page_number(path, getattr(picture, "n_frames", 1), page))
-                if too_much := excess(BYTES_WHILE_READING * float(picture.width) * picture.height * len(picture.getbands())):
+                if too_much := excess(
+                    BYTES_WHILE_READING * float(picture.width) * picture.height * len(picture.getbands())
+                ):
                     raise FieldImageError(f"{path}: its {picture.width} x {picture.height} pixels {too_much}")
                 orientation = int(picture.getexif().get(_ORIENTATION, 1) or 1)
                 values = _deep_colours(path) if _is_deep_colour_png(path) else _values(picture)

@@ -51,13 +51,17 @@ def read_tiff(path: Path, page: int | None) -> np.ndarray:
             raise
         except Exception as error:  # the reader raises errors of its own, and of every codec
             reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
-            raise FieldImageError(f"{path}: is no image or a damaged one, must be a TIFF, PNG, ... ({reason})") from None
+            raise FieldImageError(
+                f"{path}: is no image or a damaged one, must be a TIFF, PNG, ... ({reason})"
+            ) from None
 
 
 def _check(path: Path, page) -> None:
     """FieldImageError for a page that the file cannot hold, or the memory."""
     if page.ndim == 0 or 0 in page.shape:
-        raise FieldImageError(f"{path}: has a page of {' x '.join(map(str, page.shape)) or 'no'} pixels, must have some")
+        raise FieldImageError(
+            f"{path}: has a page of {' x '.join(map(str, page.shape)) or 'no'} pixels, must have some"
+        )
     if too_much := excess(BYTES_WHILE_READING * float(np.prod(page.shape, dtype=float))):
         raise FieldImageError(f"{path}: its {page.imagewidth} x {page.imagelength} pixels {too_much}")
     size = path.stat().st_size

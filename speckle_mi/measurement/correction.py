@@ -80,7 +80,9 @@ def checked_mosaic(text: str | None, colour: str | None) -> tuple[str | None, st
         return None, None
     mosaic = text.upper()
     if len(mosaic) != 4 or set(mosaic) - set(COLOURS):
-        raise InputError(f"--bayer {text}: must be the colours of the first 2 x 2 pixels by row, as RGGB, BGGR, GRBG or GBRG")
+        raise InputError(
+            f"--bayer {text}: must be the colours of the first 2 x 2 pixels by row, as RGGB, BGGR, GRBG or GBRG"
+        )
     if colour is not None and colour.upper() not in mosaic:
         raise InputError(f"--colour {colour}: must be one of the mosaic's, {', '.join(sorted(set(mosaic)))}")
     return mosaic, None if colour is None else colour.upper()

@@ -80,7 +80,9 @@ class Correlator:
     ) -> None:
         shape = np.shape(reference)
         if window is not None and len(shape) == 2 and not 4 <= window <= max(shape):
-            raise InputError(f"window = {window}: must be 4 to {max(shape)} px, the image has {shape[1]} x {shape[0]} pixels")
+            raise InputError(
+                f"window = {window}: must be 4 to {max(shape)} px, the image has {shape[1]} x {shape[0]} pixels"
+            )
         if smoothing is not None and not 1.0 <= smoothing < math.inf:
             raise InputError(f"smoothing = {smoothing:g} px: must be at least 1 px")
         self._middle = None
@@ -89,9 +91,7 @@ class Correlator:
             self._place = tuple(slice((n - min(n, side)) // 2, (n + min(n, side)) // 2) for n in shape)
             inner = None if mask is None else mask[self._place]
             if inner is None or inner.any():
-                self._middle = Correlator(
-                    np.asarray(reference)[self._place], window, mask=inner, smoothing=smoothing
-                )
+                self._middle = Correlator(np.asarray(reference)[self._place], window, mask=inner, smoothing=smoothing)
         self.shape, self._raw = shape, reference
         self._mask, self._asked = _checked_mask(mask, shape), smoothing
         self._matchers: dict[float | None, Matcher | None] = {}
@@ -215,7 +215,9 @@ def _noted(found: Shift, still: Defects, mosaic: bool) -> Shift:
     """A shift with notes on what was repaired."""
     notes = [found.message]
     if mosaic:
-        notes.append("every second pixel differs, as behind a colour filter mosaic (Bayer): the four kinds were evened out")
+        notes.append(
+            "every second pixel differs, as behind a colour filter mosaic (Bayer): the four kinds were evened out"
+        )
     if still.any:
         notes.append(f"what stands out at the same place of both images was left out: {still}")
     return replace(found, message="; ".join(filter(None, notes)))

@@ -77,11 +77,15 @@ class Defects:
 
     def shared(self, other: Defects) -> Defects:
         """What stands out in both."""
-        columns, rows = (tuple(sorted({*a} & {*b})) for a, b in ((self.columns, other.columns), (self.rows, other.rows)))
+        columns, rows = (
+            tuple(sorted({*a} & {*b})) for a, b in ((self.columns, other.columns), (self.rows, other.rows))
+        )
         return Defects(self.pixels & other.pixels, columns, rows)
 
     def united(self, other: Defects) -> Defects:
-        columns, rows = (tuple(sorted({*a} | {*b})) for a, b in ((self.columns, other.columns), (self.rows, other.rows)))
+        columns, rows = (
+            tuple(sorted({*a} | {*b})) for a, b in ((self.columns, other.columns), (self.rows, other.rows))
+        )
         return Defects(self.pixels | other.pixels, columns, rows)
 
     def __str__(self) -> str:
@@ -119,7 +123,9 @@ def _usual(image: np.ndarray, level: float) -> Usual:
     excess = [np.min([_excess(image, level, place, o) for o in _offsets(image, reach)], axis=0) for reach in (1, 2)]
     darkest = np.min([_neighbour(image, *place, o) for o in _offsets(image, 1)], axis=0)
     deficit = (darkest - image[place]) / level
-    return Usual(tuple(float(np.quantile(e, TEXTURE_SHARE)) for e in excess), float(np.quantile(deficit, TEXTURE_SHARE)))
+    return Usual(
+        tuple(float(np.quantile(e, TEXTURE_SHARE)) for e in excess), float(np.quantile(deficit, TEXTURE_SHARE))
+    )
 
 
 def _least(reach: int, usual: float) -> float:
@@ -148,7 +154,9 @@ def _bad_lines(image: np.ndarray, axis: int) -> tuple[int, ...]:
     scale = max(scale, float(np.sqrt(np.mean(np.square(np.clip(excess, *np.quantile(excess, [0.02, 0.98])))))))
     # Of coarse speckle the profile is smooth, but not even.
     spread = 1.4826 * float(np.median(np.abs(profile - np.median(profile))))
-    found = np.flatnonzero(np.abs(excess) > max(LINE * scale, LINE_SPREAD * spread)) if scale > 0.0 else np.zeros(0, int)
+    found = (
+        np.flatnonzero(np.abs(excess) > max(LINE * scale, LINE_SPREAD * spread)) if scale > 0.0 else np.zeros(0, int)
+    )
     return tuple(int(i) for i in found) if found.size <= MOST * profile.size else ()
 
 
@@ -283,9 +291,7 @@ def interpolated(image: np.ndarray, places: list[tuple[int, int]]) -> np.ndarray
     """The pattern on all pixels from every second one, of the sublattices at ``places`` (row, column)."""
     total = np.zeros(image.shape)
     for row, column in places:
-        v, u = (
-            (np.arange(n) - first) / 2 for n, first in zip(image.shape, (row, column))
-        )
+        v, u = ((np.arange(n) - first) / 2 for n, first in zip(image.shape, (row, column)))
         coefficients = ndimage.spline_filter(image[row::2, column::2].astype(float), 5, mode="mirror")
         total += ndimage.map_coordinates(
             coefficients, np.meshgrid(v, u, indexing="ij"), order=5, mode="mirror", prefilter=False

@@ -108,7 +108,9 @@ def _described(
     cosine, sine = math.cos(rotation), math.sin(rotation)
     stretch = np.array([[cosine, sine], [-sine, cosine]]) @ linear - np.eye(2)
     # A small step G acts before the mapping: strain and rotation by their first order in it.
-    readings = [[g[0, 2], g[1, 2], (g[1, 0] - g[0, 1]) / 2, g[0, 0], g[1, 1], (g[0, 1] + g[1, 0]) / 2] for g in generators]
+    readings = [
+        [g[0, 2], g[1, 2], (g[1, 0] - g[0, 1]) / 2, g[0, 0], g[1, 1], (g[0, 1] + g[1, 0]) / 2] for g in generators
+    ]
     readings = np.array(readings).T
     sigma = np.sqrt(np.maximum(np.diag(readings @ covariance @ readings.T), 0.0))
     return Deformation(

@@ -134,9 +134,7 @@ class Matcher:
             found = self._searched(self._wide_template, pattern, (0, 0), pattern, valid)
         return found
 
-    def _searched(
-        self, template: Template, around: np.ndarray, first: tuple[int, int], pattern, valid
-    ) -> Shift | None:
+    def _searched(self, template: Template, around: np.ndarray, first: tuple[int, int], pattern, valid) -> Shift | None:
         surface = template.ncc(around)
         peak = most_significant(surface, math.prod(self.window), self.texture)
         if peak.significance < 1.0:
@@ -154,9 +152,7 @@ class Matcher:
         if peak.offset is None or not searched:
             return self._symmetric(pattern, displacement, peak, 0.0, valid)
         result = self._subset.find(pattern, displacement, np.array(peak.offset), valid)
-        note = note or still_note(
-            surface, origin, displacement, peak.ncc, math.prod(self.window), self.texture
-        )
+        note = note or still_note(surface, origin, displacement, peak.ncc, math.prod(self.window), self.texture)
         return self._found(peak, displacement, self.window, result, note)
 
     def deformation(self, pattern: np.ndarray, shift: Shift, fit: str) -> Deformation | None:

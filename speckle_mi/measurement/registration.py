@@ -28,8 +28,11 @@ MARGIN = 16
 TAPER = 8
 """Outermost pixels of the margin, over which the images fade out [px]."""
 
-ITERATIONS, CONVERGED = 12, 2e-4
-"""Most steps, and the step that is the last [px]: each leaves a few per cent of the one before, or less."""
+ITERATIONS = 12
+"""Most steps."""
+
+CONVERGED, SHARE_OF_NOISE = 1e-8, 0.02
+"""The step that is the last [px], absolute and as a share of what white noise as large as the residual makes."""
 
 HALF_STENCIL = 5
 """Pixels on each side in the moved image's derivative, which sets the step and the uncertainty, not the result."""
@@ -196,7 +199,7 @@ class Subset:
             place -= step
             if not np.abs(place - start).max() < FARTHEST:
                 return None
-            if np.abs(step).max() < CONVERGED:
+            if np.abs(step).max() < max(CONVERGED, SHARE_OF_NOISE * self._noise(inverse, residual)):
                 break
         covariance = np.full((2, 2), np.nan)
         covariance[np.ix_(self.axes, self.axes)] = inverse @ self._score_variance(values, product, energy) @ inverse.T
@@ -222,6 +225,10 @@ class Subset:
         if not np.linalg.eigvalsh(slope + slope.T).min() > 0.0:
             return None
         return np.linalg.inv(slope)
+
+    def _noise(self, inverse: np.ndarray, residual: np.ndarray) -> float:
+        """Uncertainty [px] if the residual were white."""
+        return float(np.sqrt(np.abs(np.diag(inverse)).min() * _dot(residual, residual) / residual.size))
 
     def _score_variance(self, values: np.ndarray, product: float, energy: float) -> np.ndarray:
         # What the moved image does not share with the reference. The whole sum is the same with the residual of the

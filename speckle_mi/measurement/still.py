@@ -46,7 +46,12 @@ def moving_peak(surface: np.ndarray, peak: Peak, origin: tuple[int, int]) -> tup
     note = "besides the pattern that moved, something stands still in both images (a fixed pattern of the camera, dust)"
     if _distance(peak.other, origin) <= STILL:
         return Peak(peak.place, peak.offset, peak.ncc, peak.significance), note
-    if _distance(peak.place, origin) <= STILL and peak.ncc < ALIKE and peak.other_significance > SURE and not peak.rivals:
+    if (
+        _distance(peak.place, origin) <= STILL
+        and peak.ncc < ALIKE
+        and peak.other_significance > SURE
+        and not peak.rivals
+    ):
         moving = peak_at(surface, peak.other)
         return Peak(moving.place, moving.offset, moving.ncc, peak.other_significance), note
     return peak, ""
