@@ -1,6 +1,6 @@
-"""``python -m speckle_mi.correlate``: displacement of a speckle pattern between images, to a small fraction of a pixel and with its uncertainty.
+"""``python -m speckle_mi.correlate``: displacement of a speckle pattern between images, with its uncertainty.
 
-    python -m speckle_mi.correlate REF MOVED... [--window 256] [--fit affine] [--pitch 6] [--dark F] [--flat F] [--mask F]
+    python -m speckle_mi.correlate REF MOVED... [--window 256] [--fit affine] [--pitch 6] [--dark F] [--mask F]
 
 Shift, correlation, centres of gravity and statistics of any two images as JSON, lengths in um where a header or --pitch
 gives the pixel pitch; of several moved images as CSV, a row each. How a shift is measured, and when none is reported,

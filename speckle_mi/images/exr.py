@@ -69,8 +69,8 @@ def read_field(path: str | os.PathLike, channel: str | None = None, page: int | 
         intensity = np.abs(complex_field) ** 2
     if intensity is None:
         raise FieldImageError(
-            f"{path}: has the channels {_listed(channels)}, must have Y (intensity), E.re and E.im (field) or R, G and B,"
-            " or one of them be named by --channel"
+            f"{path}: has the channels {_listed(channels)}, must have Y (intensity), E.re and E.im (field) or R, G and"
+            " B, or one of them be named by --channel"
         )
     (left, top), (right, bottom) = _window(attributes["displayWindow"])
     (data_left, data_top), _ = _window(attributes["dataWindow"])

@@ -9,8 +9,21 @@ import numpy as np
 from .field_image import FieldImageError
 
 
+LONGEST_REASON = 120
+"""Letters of a reader's message that are passed on."""
+
+
+def reason(error: Exception) -> str:
+    """What a reader says is wrong, in one short line."""
+    line = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    return line if len(line) <= LONGEST_REASON else line[:LONGEST_REASON] + " ..."
+
+
 def page_number(path: Path, count: int, page: int | None) -> int:
-    """Index of the page asked for, from 0. Raises FieldImageError where there is none such, or several and no choice."""
+    """Index of the page asked for, from 0.
+
+    Raises FieldImageError where there is none such, or several and none asked for.
+    """
     if page is None:
         if count != 1:
             raise FieldImageError(f"{path}: has {count} pages, say which by --page 1 to {count}")

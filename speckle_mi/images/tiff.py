@@ -12,7 +12,7 @@ import numpy as np
 from ..machine.memory import excess
 from .colours import cmyk_luminance, luminance
 from .field_image import FieldImageError
-from .pages import oriented, page_number
+from .pages import oriented, page_number, reason
 
 BYTES_WHILE_READING = 16
 """Memory of one value while it is read: as it comes, in double precision and as it is kept."""
@@ -50,9 +50,8 @@ def read_tiff(path: Path, page: int | None) -> np.ndarray:
         except FieldImageError:
             raise
         except Exception as error:  # the reader raises errors of its own, and of every codec
-            reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
             raise FieldImageError(
-                f"{path}: is no image or a damaged one, must be a TIFF, PNG, ... ({reason})"
+                f"{path}: is no image or a damaged one, must be OpenEXR, PNG, TIFF or JPEG ({reason(error)})"
             ) from None
 
 
@@ -87,7 +86,8 @@ def _intensity(path: Path, page, values: np.ndarray) -> np.ndarray:
     axes = page.axes
     if values.dtype.kind not in "biuf" or set(axes) - set("YXS"):
         raise FieldImageError(
-            f"{path}: has values of type {values.dtype} and shape {values.shape}, must be one picture, grey or in colours"
+            f"{path}: has values of type {values.dtype} and shape {values.shape},"
+            " must be one picture, grey or in colours"
         )
     samples = np.moveaxis(values, axes.index("S"), -1) if "S" in axes else values[..., None]
     kind = getattr(page.photometric, "name", str(page.photometric))

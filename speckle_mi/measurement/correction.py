@@ -19,8 +19,8 @@ COLOURS = "RGB"
 @dataclass(frozen=True)
 class Correction:
     """What is done to every image of a camera. dark, flat: (rows, columns), None if there is none; mask: bool, False
-    where the images say nothing. mosaic: colours of the filters of the first 2 x 2 pixels by row, e.g. RGGB; colour: the
-    one that is used, None for all.
+    where the images say nothing. mosaic: colours of the filters of the first 2 x 2 pixels by row, e.g. RGGB; colour:
+    the one that is used, None for all.
     """
 
     dark: np.ndarray | None = None
@@ -96,7 +96,7 @@ def read_correction(
     mosaic: str | None = None,
     colour: str | None = None,
 ) -> Correction:
-    """The correction by pictures that ``read`` gives (rows, columns) by name. Raises InputError for what cannot be one."""
+    """The correction by pictures that ``read`` gives (rows, columns) by name. Raises InputError for what is none."""
     mosaic, colour = checked_mosaic(mosaic, colour)
     dark, flat, mask = (None if name is None else read(name) for name in (dark, flat, mask))
     for name, values in (("dark", dark), ("flat", flat), ("mask", mask)):

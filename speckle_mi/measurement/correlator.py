@@ -192,7 +192,7 @@ def _checked_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray
 def _cleaned(
     image: np.ndarray, mask: np.ndarray | None, usual: Usual | None = None
 ) -> tuple[np.ndarray, Defects, bool]:
-    """An image without mosaic and with what stands out or is masked filled in; what stood out; whether it was a mosaic."""
+    """An image without mosaic, what stands out or is masked filled in; what stood out; whether it was a mosaic."""
     image = in_range(image)
     if (gains := mosaic_gains(image)) is not None:
         image = without_mosaic(image, gains)

@@ -56,7 +56,7 @@ class Usual:
 
 @dataclass(frozen=True)
 class Defects:
-    """pixels: (rows, columns) bool, True where a pixel stands out; columns, rows: lines that do; usual: what does not."""
+    """pixels: (rows, columns) bool, True where one stands out; columns, rows: lines that do; usual: what does not."""
 
     pixels: np.ndarray
     columns: tuple[int, ...] = ()

@@ -1,7 +1,7 @@
 """How a window of a pattern was moved, turned, scaled and sheared, from one pair of images.
 
-The inverse compositional Gauss-Newton iteration of :mod:`registration` on a group of mappings: steps are elements of its
-Lie algebra and are composed, so that a rotation stays one. Images are interpolated by quintic splines, since the
+The inverse compositional Gauss-Newton iteration of :mod:`registration` on a group of mappings: steps are elements of
+its Lie algebra and are composed, so that a rotation stays one. Images are interpolated by quintic splines, since the
 displacement is another at every pixel.
 """
 

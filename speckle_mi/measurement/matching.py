@@ -140,7 +140,7 @@ class Matcher:
         if peak.significance < 1.0:
             return None
         origin = tuple(c - f for c, f in zip(self.corner, first))
-        peak, note = moving_peak(surface, peak, origin)
+        peak, note = moving_peak(surface, peak, origin, self.texture)
         if peak.rivals:
             return self._ambiguous(peak, origin)
         displacement = tuple(i - c for i, c in zip(peak.place, origin))

@@ -22,7 +22,8 @@ def _box_sums(image: np.ndarray, box: tuple[int, int]) -> np.ndarray:
     """Sums of ``image`` (rows, columns) over every (height, width) box that lies inside it."""
     for axis, size in enumerate(box):
         means = ndimage.uniform_filter1d(image, size, axis, mode="nearest")
-        image = size * np.moveaxis(np.moveaxis(means, axis, 0)[size // 2 : means.shape[axis] - (size - 1) // 2], 0, axis)
+        inside = slice(size // 2, means.shape[axis] - (size - 1) // 2)
+        image = size * means[(slice(None),) * axis + (inside,)]
     return image
 
 

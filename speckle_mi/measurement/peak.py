@@ -82,7 +82,8 @@ class Texture:
 
     area: integral of the squared normalised autocovariance over the central lobe [px^2], the area on which two
     patterns agree or disagree together. lobe: half extents (v, u) [px]. next: autocovariance of next neighbours without
-    noise. top: its height at zero lag over the curve through the other lags. repeats: whether the pattern is like itself at some distance.
+    noise. top: its height at zero lag over the curve through the other lags. repeats:
+    whether the pattern is like itself at some distance.
     """
 
     def __init__(self, piece: np.ndarray) -> None:

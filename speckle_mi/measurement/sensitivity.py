@@ -82,7 +82,8 @@ def fit_sensitivity(
     displacements: (n,) [mm or deg]. shifts: (surfaces, n) [um], NaN where not measured. correlation: (surfaces, n)
     peak heights, or None for equal weights (a centre of gravity); a frame whose correlation is not above 0 counts as
     not measured. sigma: (surfaces, n) standard uncertainties of the shifts [um], which take the place of the rule by
-    correlation where all measured frames of a motion have one. theory: slope [unit]; None or NaN where there is none. unit: "mm/mm" or "mm/deg".
+    correlation where all measured frames of a motion have one. theory: slope
+    [unit]; None or NaN where there is none. unit: "mm/mm" or "mm/deg".
 
     Raises ValueError for arrays that do not fit together, or displacements that are not finite.
     """
@@ -123,7 +124,8 @@ def shift_weights(
         return measured.astype(np.float64)
     correlation = np.asarray(correlation, dtype=np.float64)
     measured &= np.isfinite(correlation) & (correlation > 0)
-    if sigma is not None and np.any(measured) and (variance := _variances(np.asarray(sigma, float), measured)) is not None:
+    variance = None if sigma is None or not np.any(measured) else _variances(np.asarray(sigma, float), measured)
+    if variance is not None:
         return np.where(measured, variance.max() / (variance + NOISE_FLOOR * variance.max()), 0.0)
     own = np.where(measured, np.minimum(correlation, 1.0), 0.0)
     mean = own.sum(axis=0) / np.maximum(measured.sum(axis=0), 1)

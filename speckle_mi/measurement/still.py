@@ -39,19 +39,14 @@ def _distance(place: tuple[int, int], origin: tuple[int, int]) -> int:
     return max(abs(i - o) for i, o in zip(place, origin))
 
 
-def moving_peak(surface: np.ndarray, peak: Peak, origin: tuple[int, int]) -> tuple[Peak, str]:
+def moving_peak(surface: np.ndarray, peak: Peak, origin: tuple[int, int], texture: Texture) -> tuple[Peak, str]:
     """The peak of what moves where another tells of what stands still, and a note that says so."""
-    if peak.other is None:
+    if peak.other is None or texture.repeats:  # a pattern that repeats itself has several peaks by itself
         return peak, ""
     note = "besides the pattern that moved, something stands still in both images (a fixed pattern of the camera, dust)"
     if _distance(peak.other, origin) <= STILL:
         return Peak(peak.place, peak.offset, peak.ncc, peak.significance), note
-    if (
-        _distance(peak.place, origin) <= STILL
-        and peak.ncc < ALIKE
-        and peak.other_significance > SURE
-        and not peak.rivals
-    ):
+    if _distance(peak.place, origin) <= STILL and peak.ncc < ALIKE and peak.other_significance > SURE:
         moving = peak_at(surface, peak.other)
         return Peak(moving.place, moving.offset, moving.ncc, peak.other_significance), note
     return peak, ""
@@ -70,7 +65,7 @@ def _beside(surface: np.ndarray, place: tuple[int, int]) -> float | None:
 
 
 def finer_than_a_pixel(surface: np.ndarray, peak: Peak) -> bool:
-    """Whether the correlation falls off within a pixel of its peak: then nothing says where between the pixels it is."""
+    """Whether the correlation falls off within a pixel of its peak: nothing says where between the pixels it is."""
     beside = _beside(surface, peak.place)
     return beside is not None and beside < FINE * float(surface[peak.place])
 
@@ -120,7 +115,7 @@ def still_note(
     pixels: int,
     texture: Texture,
 ) -> str:
-    """A note on what stands still beside a pattern that moved by ``displacement`` (v, u) [px], empty if nothing does."""
+    """A note on what stands still beside a pattern that moved by ``displacement`` (v, u) [px], empty if none is."""
     far = any(abs(d) > reach for d, reach in zip(displacement, texture.lobe))
     if far and (height := _spike(surface, origin, ncc, 0.0, pixels, texture)) > 0.0:
         return f"a fixed pattern of the camera adds {100 * height:.0f} % of the correlation at zero shift"

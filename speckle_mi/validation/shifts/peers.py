@@ -1,4 +1,4 @@
-"""Other ways to measure a shift, each as its authors describe it: functions (reference, moved, window) -> (u, v) [px]."""
+"""Other ways to measure a shift, as their authors describe them: (reference, moved, window) -> (u, v) [px]."""
 
 from __future__ import annotations
 

@@ -19,6 +19,9 @@ PHOTONS = (None, 1000.0, 100.0, 30.0, 10.0)
 LARGEST_SHIFT = 40.0
 """Shifts are evenly spread up to this [px]."""
 
+ROOM = 16
+"""Pixels left around the window wherever it goes, so that no method looks beyond the image's edge."""
+
 PAIRS = {64: 24, 256: 6}
 """Pairs a row; of a large window a few say as much, since its error is smaller than what the rows differ by."""
 
@@ -26,7 +29,7 @@ OURS = "speckle_mi"
 
 
 @dataclass(frozen=True)
-class Row:
+class ShiftRow:
     """rms: error over pairs and both directions [px] by method; milliseconds: median time a pair by method; stated: rms
     of the uncertainties that ours states [px]."""
 
@@ -40,7 +43,7 @@ class Row:
 
 def compare_shifts(
     windows=WINDOWS, sizes=SIZES, photons=PHOTONS, pairs: dict[int, int] = PAIRS, peers: dict | None = None
-) -> Iterator[Row]:
+) -> Iterator[ShiftRow]:
     """A row for each window, speckle size [px] and noise."""
     peers = installed() if peers is None else peers
     for window in windows:
@@ -49,11 +52,11 @@ def compare_shifts(
                 yield _row(window, size, noise, pairs[window], peers)
 
 
-def _row(window: int, size: float, photons: float | None, pairs: int, peers: dict) -> Row:
+def _row(window: int, size: float, photons: float | None, pairs: int, peers: dict) -> ShiftRow:
     errors: dict[str, list] = {name: [] for name in (OURS, *peers)}
     times: dict[str, list] = {name: [] for name in errors}
     stated = []
-    side = window + 2 * int(LARGEST_SHIFT) + 8
+    side = window + 2 * (int(LARGEST_SHIFT) + ROOM)
     for seed in range(pairs):
         random = np.random.default_rng([seed, window])
         shift = tuple(random.uniform(-LARGEST_SHIFT, LARGEST_SHIFT, 2))
@@ -72,7 +75,7 @@ def _row(window: int, size: float, photons: float | None, pairs: int, peers: dic
             place = measure(reference, moved, window)
             times[name].append(time.perf_counter() - start)
             errors[name].append(np.subtract(place, shift))
-    return Row(
+    return ShiftRow(
         window,
         size,
         photons,
@@ -82,7 +85,7 @@ def _row(window: int, size: float, photons: float | None, pairs: int, peers: dic
     )
 
 
-def table(rows: list[Row]) -> tuple[list[str], list[list[str]]]:
+def table(rows: list[ShiftRow]) -> tuple[list[str], list[list[str]]]:
     """Heads and cells of the comparison: rms errors in thousandths of a pixel, then times."""
     methods = list(rows[0].rms)
     heads = ["window", "speckle (px)", "photons", *methods, "ours states"]
