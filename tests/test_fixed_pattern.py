@@ -156,7 +156,7 @@ def test_hot_pixels_and_photons_leave_the_speckle_size_alone():
     assert contrast(hot) == pytest.approx(contrast(image), rel=0.02)
 
 
-# --- patterns finer than a pixel ----------------------------------------------------------------------------------------
+# --- patterns finer than a pixel -------------------------------------------------------------------------------------
 
 
 def test_a_pattern_finer_than_the_pixels_has_its_whole_pixel():

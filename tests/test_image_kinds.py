@@ -252,7 +252,8 @@ def test_damaged_files_of_any_kind_are_one_clear_line_or_an_image(tmp_path, spec
         whole = (tmp_path / kind).read_bytes()
         for _ in range(DAMAGED_EACH):
             content = bytearray(whole)
-            for place in random.integers(0, min(len(whole), random.choice([64, 400, len(whole)])), random.integers(1, 6)):
+            reach = min(len(whole), random.choice([64, 400, len(whole)]))
+            for place in random.integers(0, reach, random.integers(1, 6)):
                 content[place] = random.integers(256)
             if random.random() < 0.3:
                 del content[random.integers(1, len(content)) :]

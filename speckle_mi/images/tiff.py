@@ -58,9 +58,7 @@ def read_tiff(path: Path, page: int | None) -> np.ndarray:
 def _check(path: Path, page) -> None:
     """FieldImageError for a page that the file cannot hold, or the memory."""
     if page.ndim == 0 or 0 in page.shape:
-        raise FieldImageError(
-            f"{path}: has a page of {' x '.join(map(str, page.shape)) or 'no'} pixels, must have some"
-        )
+        raise FieldImageError(f"{path}: has a page without pixels, must be a picture")
     if too_much := excess(BYTES_WHILE_READING * float(np.prod(page.shape, dtype=float))):
         raise FieldImageError(f"{path}: its {page.imagewidth} x {page.imagelength} pixels {too_much}")
     size = path.stat().st_size
