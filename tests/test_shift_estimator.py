@@ -141,6 +141,20 @@ def test_what_is_no_fit_is_refused(deformed):
         Comparison(deformed[0], None, 64, fit="bend")
 
 
+def turned(angle, seed=7):
+    k, amplitude = waves((130, 130), seed, count=300)
+    cosine, sine = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+    matrix = np.array([[cosine, -sine], [sine, cosine]])
+    return [seen((130, 130), k, amplitude, *motion) for motion in ((np.eye(2), (0, 0)), (matrix, (3, -2)))]
+
+
+@pytest.mark.parametrize("angle", [12.0, -25.0, 170.0])
+def test_a_pattern_turned_beyond_the_window_is_said_to_be(angle):
+    found = correlate(*turned(angle), 64)
+    assert found.status == "rotated" and math.isnan(found.u_px)
+    assert f"{angle:.0f}." in found.message or f"{angle - math.copysign(1, angle):.0f}.9" in found.message
+
+
 # --- beside others ---------------------------------------------------------------------------------------------------
 
 

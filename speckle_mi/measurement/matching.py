@@ -25,9 +25,13 @@ from .peak import FEWEST_SPECKLES, PATCH, Peak, Texture, argmax, least_significa
 from .registration import Found, Subset
 from .shift import Shift, no_shift
 from .still import finer_than_a_pixel, moving_peak, of_the_camera, still_note
+from .turned import turned_back, turns
 
 MASKED = 0.1
 """Share of the window from which on it is correlated by what the masks leave, and not filled in."""
+
+TURNED = 1.3
+"""Significance at which a pattern that was turned back is the reference's: two angles were tried for it."""
 
 REACH = 64
 """Shift up to which the window is searched for first [px]."""
@@ -94,7 +98,20 @@ class Matcher:
         """Shift of ``pattern`` (rows, columns) from the reference; valid: False where it says nothing."""
         if self.lit and self._much_is_masked(valid):
             return self._masked(pattern, valid)
-        return self._near(pattern, valid) or self._far(pattern, valid)
+        found = self._near(pattern, valid) or self._far(pattern, valid)
+        return self._turned(pattern) or found if found.status == "not significant" and self.lit else found
+
+    def _turned(self, pattern: np.ndarray) -> Shift | None:
+        """What there is to say of a pattern that is the reference's once it is turned back, None if it is not."""
+        for angle in turns(self.reference, pattern):
+            found = self._near(turned_back(pattern, angle), None)
+            if found is not None and found.ok and found.significance > TURNED:
+                message = (
+                    f"the pattern was turned by about {angle:.1f} deg, more than a window of {self.window[1]} x"
+                    f" {self.window[0]} px can follow: take a smaller one, or turn the image back"
+                )
+                return no_shift("rotated", message, self.window, found.ncc, found.significance)
+        return None
 
     def _much_is_masked(self, valid: np.ndarray | None) -> bool:
         inside = tuple(slice(i, i + w) for i, w in zip(self.corner, self.window))

@@ -25,6 +25,9 @@ ROOM = 16
 PAIRS = {64: 24, 256: 6}
 """Pairs a row; of a large window a few say as much, since its error is smaller than what the rows differ by."""
 
+QUICK_SIZES, QUICK_PAIRS = (4.0,), {64: 2, 256: 1}
+"""Does it work, not how good is it."""
+
 OURS = "speckle_mi"
 
 
