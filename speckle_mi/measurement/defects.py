@@ -133,10 +133,12 @@ def _least(reach: int, usual: float) -> float:
     return of_coarse + by_texture * max(usual, 0.0)
 
 
-def _outliers(image: np.ndarray, level: float, reach: int, usual: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places (v, u) of pixels above all on a border around them by more than the image's texture explains."""
+def _outliers(
+    image: np.ndarray, level: float, bright: tuple[np.ndarray, np.ndarray], reach: int, usual: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Those of the ``bright`` places (v, u) that are above all on a border around them by more than texture explains."""
     least = _least(reach, usual)
-    place = np.nonzero(image > BRIGHT * level)
+    place = bright
     for offset in _offsets(image, reach):  # few are left after the first
         kept = _excess(image, level, place, offset) > least
         place = place[0][kept], place[1][kept]
@@ -170,7 +172,8 @@ def defects_of(image: np.ndarray, usual: Usual | None = None) -> Defects:
     if level <= 0.0 or max(image.shape) < 8:
         return Defects(pixels)
     usual = usual or _usual(image, level)
-    found = [_outliers(image, level, reach, excess) for reach, excess in zip((1, 2), usual.excess)]
+    bright = np.nonzero(image > BRIGHT * level)
+    found = [_outliers(image, level, bright, reach, excess) for reach, excess in zip((1, 2), usual.excess)]
     for place in (*found, _dead(image, level, usual.deficit)):
         pixels[place] = True
     if np.count_nonzero(pixels) > MOST * pixels.size:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import fft, ndimage
+from scipy import fft
 
 from ..machine.cores import usable_cores
 
@@ -21,9 +21,12 @@ CONSTANT = 1e-9
 def _box_sums(image: np.ndarray, box: tuple[int, int]) -> np.ndarray:
     """Sums of ``image`` (rows, columns) over every (height, width) box that lies inside it."""
     for axis, size in enumerate(box):
-        means = ndimage.uniform_filter1d(image, size, axis, mode="nearest")
-        inside = slice(size // 2, means.shape[axis] - (size - 1) // 2)
-        image = size * means[(slice(None),) * axis + (inside,)]
+        lead = np.moveaxis(image, axis, 0)
+        sums = np.empty((lead.shape[0] - size + 1, lead.shape[1]))
+        sums[0] = lead[:size].sum(axis=0)
+        np.subtract(lead[size:], lead[:-size], out=sums[1:])
+        np.cumsum(sums, axis=0, out=sums)
+        image = np.moveaxis(sums, 0, axis)
     return image
 
 

@@ -31,7 +31,10 @@ TAPER = 8
 ITERATIONS = 12
 """Most steps."""
 
-CONVERGED, SHARE_OF_NOISE = 1e-8, 0.02
+CELLS = 5
+"""Places of a box, along each axis, at which its sum is taken."""
+
+CONVERGED, SHARE_OF_NOISE = 1e-8, 0.05
 """The step that is the last [px], absolute and as a share of what white noise as large as the residual makes."""
 
 HALF_STENCIL = 5
@@ -237,19 +240,35 @@ class Subset:
         return score_variance(self.gradients, residual, self.reach)
 
 
+def _cell_sums(values: np.ndarray, cell: int, axis: int) -> np.ndarray:
+    """Sums over cells of so many pixels along an axis; the last one may be smaller."""
+    values = np.pad(values, [(0, -n % cell if a == axis else 0) for a, n in enumerate(values.shape)])
+    rows, columns = values.shape
+    if axis == 0:
+        return values.reshape(rows // cell, cell, columns).sum(axis=1)
+    return values.reshape(rows, columns // cell, cell).sum(axis=2)
+
+
 def score_variance(gradients: list[np.ndarray], residual: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
     """Covariance (n, n) of the sums of n gradients (rows, columns) times a residual that is correlated over ``reach``.
 
     Of the sums over boxes that overlap, which are Bartlett's weights of the lags.
     """
     box = tuple(min(2 * r + 1, max(w // 3, 1)) for r, w in zip(reach, residual.shape))
+    cell = tuple(max(1, round(side / CELLS)) for side in box)
+    count = tuple(max(1, round(side / c)) for side, c in zip(box, cell))
+    box = tuple(n * c for n, c in zip(count, cell))
     sums = []
     for gradient in gradients:
         score = gradient * residual
-        for axis, side in enumerate(box):
-            score = np.pad(score, [(side // 2, side // 2) if a == axis else (0, 0) for a in (0, 1)])
-            score = ndimage.uniform_filter1d(score, side, axis, mode="constant")
-        sums.append(score * np.prod(box))
+        for axis, (c, n) in enumerate(zip(cell, count)):
+            score = _cell_sums(score, c, axis)
+            score = np.pad(score, [(n - 1, n - 1) if a == axis else (0, 0) for a in (0, 1)])
+            running = np.cumsum(score, axis)
+            lead = np.moveaxis(running, axis, 0)
+            lead[n:] -= lead[:-n].copy()
+            score = np.moveaxis(lead[n - 1 :], 0, axis)
+        sums.append(score)
     # The whole sum is zero where the iteration ends, which takes this share of the variance away.
     left = 1.0 - np.prod(box) / np.prod(residual.shape)
-    return np.array([[_dot(a, b) for b in sums] for a in sums]) / (np.prod(box) * left)
+    return np.array([[_dot(a, b) for b in sums] for a in sums]) / (np.prod(count) * left)
