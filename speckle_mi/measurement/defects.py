@@ -136,7 +136,7 @@ def _least(reach: int, usual: float) -> float:
 def _outliers(
     image: np.ndarray, level: float, bright: tuple[np.ndarray, np.ndarray], reach: int, usual: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Those of the ``bright`` places (v, u) that are above all on a border around them by more than texture explains."""
+    """Those of the ``bright`` places (v, u) above all on a border around them by more than texture explains."""
     least = _least(reach, usual)
     place = bright
     for offset in _offsets(image, reach):  # few are left after the first
