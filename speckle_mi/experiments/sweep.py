@@ -180,4 +180,6 @@ def _record(
         contrast=contrast(intensity),
         seconds=time.perf_counter() - start,
         status=shift.status,
+        sigma_u_um=shift.sigma_u_px * pixel,
+        sigma_v_um=shift.sigma_v_px * pixel,
     )
