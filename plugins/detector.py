@@ -21,8 +21,9 @@ Detector (:monosp:`detector`)
 
 A bare image sensor without a lens of its own: the field is computed in its plane. Seen along +z with +y up, columns
 count to the right and rows downwards, as in every Mitsuba sensor; in the world, columns run along the local -x axis
-and rows along the local -y axis. Images have the channels ``Y`` (intensity), ``E.re`` and ``E.im`` (field).
-A ``sampler`` with a ``sample_count`` above 1 averages the intensity over that many sub-pixels.
+and rows along the local -y axis. Images have the channels ``E.re`` and ``E.im``, the field at the pixel's centre,
+and ``Y``, the intensity: by default |E|^2 at the pixel's centre; with a ``sampler`` whose ``sample_count`` is above 1
+the mean over that many sub-pixels (rounded up to a square), as a pixel without gaps to its neighbours measures it.
 
 To other integrators it is an irradiance meter.
 

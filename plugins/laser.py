@@ -117,8 +117,8 @@ class Laser(mi.Emitter):
         if divergence > _STEEPEST:
             raise SceneError(
                 f"{self.where}: a beam of beam_radius {value_of(self.beam_radius):g} mm and wavefront_radius "
-                f"{value_of(self.wavefront_radius):g} mm diverges by {divergence:.3g} rad from its waist, must diverge by at "
-                f"most {_STEEPEST} rad: steeper light is not a Gaussian beam"
+                f"{value_of(self.wavefront_radius):g} mm diverges by {divergence:.3g} rad from its waist, must diverge "
+                f"by at most {_STEEPEST} rad: steeper light is not a Gaussian beam"
             )
 
     # What other integrators see: a collimated beam whose irradiance is that of one unit of power.

@@ -38,7 +38,7 @@ Lens (:monosp:`lens`)
    -
 
 A thick lens of two surfaces of revolution, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, and a
-cylindrical rim. It stands in air, or in the ``ext_ior`` of the scene's dielectrics where that is another medium (water).
+cylindrical rim. It stands in air, or in the ``ext_ior`` of the scene's dielectrics where that is another medium.
 
 .. tabs::
     .. code-tab:: xml

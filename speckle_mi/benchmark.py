@@ -1,6 +1,6 @@
 """``python -m speckle_mi.benchmark``: how fast the sums are, beside peers measured in the same run.
 
-    python -m speckle_mi.benchmark [--quick] [--out FILE.json]
+    python -m speckle_mi.benchmark [--quick] [--shifts] [--out FILE.json]
 
 The paper's tilted laser (744 x 480 pixels of 6 um at 60 mm, beam radius 0.12 mm). Ours: the coherent sum ``auto`` at
 1e-4 and ``direct``. Peers: the float64 sum vectorised in NumPy, the same compiled by numba on all cores (if numba is
@@ -31,10 +31,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.system import system_information
     from .report.terminal import print_machine, terminal
 
-    identity = {"quick": options.quick, "variant": options.variant}
+    identity = {"quick": options.quick, "variant": options.variant, **({"shifts": True} if options.shifts else {})}
     if options.out is not None:
         require_output(options.out, ".json")
         refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
+    if options.shifts:
+        return _compare_shifts(options, identity)
     from .validation.benchmark.specimen import Specimen
 
     specimen = Specimen.of(_assembly(options))
@@ -42,6 +44,25 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print_machine(console, system)
     pixels = list(specimen.grid.shape[::-1])
     _measure(options, specimen, console, {"identity": identity, "pixels": pixels, "system": system})
+
+
+def _compare_shifts(options, identity: dict) -> None:
+    """The measurement of shifts beside public programs."""
+    from .machine.files import write_json
+    from .machine.system import system_information
+    from .report.terminal import print_machine, print_table, terminal
+    from .validation.shifts.study import QUICK_PAIRS, QUICK_SIZES, compare_shifts, table
+
+    console, system = terminal(options.quiet), system_information()
+    print_machine(console, system)
+    rows = []
+    for row in compare_shifts(**({"sizes": QUICK_SIZES, "pairs": QUICK_PAIRS} if options.quick else {})):
+        say(options, f"window {row.window} px, speckle {row.size:g} px, photons {row.photons or 'without noise'} ...")
+        rows.append(row)
+        if options.out:
+            write_json(options.out, {"identity": identity, "system": system, "shifts": [asdict(row) for row in rows]})
+    heads, cells = table(rows)
+    print_table(console, heads, cells, title="Shifts: rms error (thousandths of a pixel)", left=(), group_by=1)
 
 
 def _measure(options, specimen, console, content: dict) -> None:
@@ -86,6 +107,7 @@ def _parser():
     made.add_argument(
         "--quick", action="store_true", help="few scatterers, few pixels: does it work, not how fast is it"
     )
+    made.add_argument("--shifts", action="store_true", help="the measurement of shifts beside other programs, alone")
     add_force(made)
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
     return made

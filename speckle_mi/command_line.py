@@ -132,7 +132,8 @@ def scene_parser(name: str, description: str) -> argparse.ArgumentParser:
 
 def add_force(made: argparse.ArgumentParser) -> None:
     """The flag of every command that writes results."""
-    made.add_argument("--force", action="store_true", help="overwrite results that were made with other settings")
+    help_text = "overwrite results that were made with other settings; begin frames of more than 10 minutes"
+    made.add_argument("--force", action="store_true", help=help_text)
 
 
 def say(arguments: argparse.Namespace, text: str) -> None:

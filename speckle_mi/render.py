@@ -50,10 +50,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     require_distinct(SCENE=options.scene, output=options.output, sources=options.sources)
 
     scene = open_scene(options.scene, options.defaults, options.variant)
-    from .field.simulation import simulate_frame
+    from .field.simulation import Simulation
     from .field.sources import settings_of_sources, source_layers, write_sources
     from .images.exr import write_field
     from .machine.progress import progress_bars
+    from .plan.cost import WORTH_SAYING, require_affordable
     from .scene.read import assembly_from_scene
 
     assembly = assembly_from_scene(scene, spp=options.spp)
@@ -66,9 +67,14 @@ def main(arguments: Sequence[str] | None = None) -> None:
     refuse_other_settings(options.output, settings_of_image(options.output, settings), settings, options.force)
     if options.sources:
         refuse_other_settings(options.sources, settings_of_sources(options.sources), settings, options.force)
+    simulation = Simulation(assembly)
+    cost = simulation.cost(pose)
+    require_affordable(cost, options.force)
+    if cost.seconds > WORTH_SAYING:
+        say(options, f"expected: {cost}")
     with progress_bars(options.quiet):
         start = time.perf_counter()
-        frame = simulate_frame(assembly, pose)
+        frame = simulation.frame(pose)
         seconds = time.perf_counter() - start
         layers = source_layers(assembly, frame.scatterers, pose, options.per_source)
     image = replace(frame.image, header=frame.image.header | settings)

@@ -34,6 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
+    from .experiments.executor import InProcess
     from .experiments.sweep import run_sweep
     from .experiments.sweep_result import SweepResult, frame_count
     from .machine.files import require_folder
@@ -42,6 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = _settings(options)
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
     scene = open_scene(options.scene, options.defaults, options.variant)
+    from .field.simulation import Simulation
+    from .geometry.pose import Pose
+    from .machine.run_times import duration
+    from .plan.cost import WORTH_SAYING, require_affordable
     from .report import sweep_report as report
     from .report.console import print_report
     from .scene.read import assembly_from_scene
@@ -52,6 +57,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if settings.window is not None and settings.window > largest:
         raise InputError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
     identity = _identity(assembly, settings)
+    simulation = Simulation(assembly)
+    cost = simulation.cost(Pose())
+    require_affordable(cost, options.force)
+    if cost.seconds > WORTH_SAYING:
+        count = frame_count(settings)
+        say(options, f"expected: {cost}, {count} frames in about {duration(count * cost.seconds)}")
     _claim(folder, identity, options.force)
     result = SweepResult()
     table, is_repeated = folder / "sweep.csv", (folder / "summary.json").exists()
@@ -63,7 +74,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     # An interrupted sweep keeps its finished frames and the table of them, and goes on from there the next time.
     with keeping(keep):
-        run_sweep(assembly, settings, folder / "frames", result, options.quiet, resume=not is_repeated)
+        run_sweep(
+            assembly, settings, folder / "frames", result, options.quiet, resume=not is_repeated,
+            executor=InProcess(simulation),
+        )  # fmt: skip
     summary = report.summarise(assembly, settings, result)
     summary["scene"] = options.scene
     summary["defaults"] = options.defaults

@@ -229,7 +229,8 @@ def test_a_damaged_image_is_refused_by_correlate(run, tmp_path, image):
 
 def test_images_that_do_not_fit_together_are_refused(run, tmp_path, image):
     write_field(tmp_path / "other.exr", FieldImage(np.ones((5, 6), np.float32), np.ones((5, 6), complex), {}))
-    refused(run("correlate", image, "other.exr"), "shape")
+    # Of images of two sizes what both show is compared, if the window fits into it.
+    refused(run("correlate", image, "other.exr", "--window", "7"), "window = 7", "4 to 6 px")
     write_field(tmp_path / "pitch.exr", FieldImage(IMAGE.intensity, IMAGE.field, {"pixel_pitch_mm": 0.003}))
     refused(run("correlate", image, "pitch.exr"), "pitch")
     write_field(tmp_path / "nan.exr", FieldImage(np.full((4, 6), np.nan, np.float32), IMAGE.field, {}))

@@ -27,7 +27,7 @@ def beam(to_laser, distance, wavefront_radius, radius=0.12, spot=np.array([0.3, 
 
 
 def exact_field(beam, point):
-    """The Gaussian mode of parameter q = q_0 + s by mpmath, its wavefronts taken as spheres; the exact sphere if uniform.
+    """The Gaussian mode of parameter q = q_0 + s by mpmath, its wavefronts taken as spheres; a sphere if uniform.
 
     L from the laser along the axis, then to the wavefront through the point.
     """
@@ -44,7 +44,8 @@ def exact_field(beam, point):
         if np.isinf(beam.radius):  # the laser, the point focus and Gouy's phase of it
             centre = reference - radius * axis
             side, behind = mpmath.sign(s + radius), mpmath.sign(s + radius) != mpmath.sign(radius)
-            return complex((-1 if behind else 1) * mpmath.exp(1j * k * (path + side * mpmath.norm(p - centre) - radius)))
+            path += side * mpmath.norm(p - centre) - radius
+            return complex((-1 if behind else 1) * mpmath.exp(1j * k * path))
         start = 1 / (1 / radius + 2j / (k * mpmath.mpf(beam.radius) ** 2))
         q, across = start + s, offset - s * axis
         squared, curvature = dot(across, across), mpmath.re(1 / q)
@@ -132,7 +133,7 @@ def against_the_phase(lit, points):
 
 
 def propagated(field, pitch, distance):
-    """A field on a square grid after a distance [mm], by its angular spectrum: an exact solution of the wave equation."""
+    """A field on a square grid after a distance [mm], by its angular spectrum: exact for the wave equation."""
     f = np.fft.fftfreq(len(field), pitch)
     along = np.sqrt((WAVELENGTH**-2 - f[:, None] ** 2 - f**2).astype(complex))
     return np.fft.ifft2(np.fft.fft2(field) * np.exp(2j * np.pi * along * distance))

@@ -222,12 +222,12 @@ TO_THE_SIDE = np.stack([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]], axi
 
 
 def field_beside(tmp_path, assemble, frame: Frame, form: dict, source: np.ndarray, detector: Frame, middle):
-    """Rendered and independent field, (pixels,) each, of a source over one mirror, and the pixels (n, 3).
+    """Rendered and independent geometric field, (pixels,) each, of a source over one mirror, and the pixels (n, 3).
 
     middle: guess of local x, y on the mirror.
     """
     shape = element_xml("mirror", "mirror", frame, **form)
-    assembly, _, field = rendered_unit(assemble, bench(tmp_path, source, detector, [shape]))
+    assembly, _, field = rendered_unit(assemble, bench(tmp_path, source, detector, [shape], diffraction=False))
     conic, curvature = form.get("conic", 0.0), 1 / form["radius"]
     surface = Refractor(frame.origin, frame.axes, curvature, conic, 1.0)
     pixels = assembly.detector.points()

@@ -21,7 +21,8 @@ STEP = 1e-4
 """Step [mm, rad] of the difference quotients along a chief ray."""
 
 SEVERAL_WAYS = (
-    "light comes by several ways: shifts along x and y are projections of the detector's axes as they stand in the world"
+    "light comes by several ways: shifts along x and y are projections of the detector's axes as they stand in the "
+    "world"
 )
 NO_CHIEF_RAY = (
     "no ray leads from the spot to the detector's middle over its curved mirrors: shifts along x and y are projections "

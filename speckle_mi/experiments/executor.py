@@ -9,7 +9,6 @@ from typing import Protocol
 from ..field.frame import FrameResult
 from ..field.simulation import Simulation
 from ..geometry.pose import Pose
-from ..scene.assembly import Assembly
 
 
 @dataclass(frozen=True)
@@ -31,8 +30,8 @@ class Executor(Protocol):
 class InProcess:
     """Makes frames one after the other in this process."""
 
-    def __init__(self, assembly: Assembly) -> None:
-        self._simulation = Simulation(assembly)
+    def __init__(self, simulation: Simulation) -> None:
+        self._simulation = simulation
 
     def results(self, tasks: Iterable[FrameTask]) -> Iterator[FrameResult]:
         for task in tasks:

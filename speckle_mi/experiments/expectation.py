@@ -64,7 +64,7 @@ def expected_correlation(assembly: Assembly, dof: str, displacements: np.ndarray
 
 
 def _is_spot_of_beam(assembly: Assembly) -> bool:
-    """Whether what scatters is what lies under a beam of finite width, rather than the user's points or all there is."""
+    """Whether what scatters lies under a beam of finite width, and is not the user's points or all there is."""
     return assembly.target.points is None and bool(np.isfinite(assembly.beam.radius))
 
 
@@ -145,8 +145,9 @@ def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | N
     target, beam = assembly.target, assembly.beam
     if not channel.has_power:
         return theory.centre_of_gravity_aperture(
-            assembly.spot.point, target.frame.origin, target.frame.axes, -beam.axis, channel.openings[0].plane.frame.origin,
-            channel.grid.centre, channel.grid.u, channel.grid.v, assembly.spot.normal,
+            assembly.spot.point, target.frame.origin, target.frame.axes, -beam.axis,
+            channel.openings[0].plane.frame.origin, channel.grid.centre, channel.grid.u, channel.grid.v,
+            assembly.spot.normal,
         )
     slide = theory.spot_displacement(
         assembly.spot.point, target.frame.origin, target.frame.axes, -beam.axis, assembly.spot.normal

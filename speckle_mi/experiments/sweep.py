@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..field.simulation import Simulation
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..images.exr import read_field, write_field
 from ..images.field_image import FieldImage, FieldImageError
@@ -64,7 +65,7 @@ def run_sweep(
     result.axes_as_seen = {"u": seen.u.tolist(), "v": seen.v.tolist()}
     if seen.note:
         result.warnings[seen.note] = len(tasks)
-    made = (executor or InProcess(assembly)).results(task for task in tasks if task.name not in held)
+    made = (executor or InProcess(Simulation(assembly))).results(task for task in tasks if task.name not in held)
     with _Writer(frames, result.writes) as writer, progress_bars(quiet) as progress:
         bar = progress.add_task("frames", total=len(tasks))
 
@@ -179,4 +180,6 @@ def _record(
         contrast=contrast(intensity),
         seconds=time.perf_counter() - start,
         status=shift.status,
+        sigma_u_um=shift.sigma_u_px * pixel,
+        sigma_v_um=shift.sigma_v_px * pixel,
     )

@@ -23,7 +23,10 @@ class SweepSettings:
 
 @dataclass(frozen=True)
 class FrameRecord:
-    """What one frame gave: a row of sweep.csv. Shifts and centres of gravity [um], NaN where not measured."""
+    """What one frame gave: a row of sweep.csv. Shifts and centres of gravity [um], NaN where not measured.
+
+    sigma_u_um, sigma_v_um: standard uncertainties of the shifts, from the two images alone [um].
+    """
 
     dof: str
     displacement: float
@@ -39,6 +42,8 @@ class FrameRecord:
     contrast: float
     seconds: float
     status: str
+    sigma_u_um: float
+    sigma_v_um: float
 
 
 @dataclass

@@ -13,6 +13,7 @@ from ..geometry.pose import Pose
 from ..images.field_image import FieldImage
 from ..machine.cores import products_on_one_thread
 from ..machine.progress import tell
+from ..plan.cost import Cost, cost_of
 from ..plan.plan import Plan, make_plan
 from ..plan.setup import Setup
 from ..plan.stage import NOTHING_SUMMED, PIXELS, Stage
@@ -73,6 +74,11 @@ class Simulation:
         Raises SceneError where the field cannot be computed as asked.
         """
         return self._plan(self._setup(self.assembly, pose, options))
+
+    def cost(self, pose: Pose | None = None, options: Options | None = None) -> Cost:
+        """What a frame will cost, known beforehand from its plan. Raises SceneError as :meth:`plan`."""
+        setup = self._setup(self.assembly, pose, options)
+        return cost_of(setup.assembly, self._plan(setup).channels)
 
     @products_on_one_thread()
     def frame(

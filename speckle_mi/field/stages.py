@@ -13,23 +13,21 @@ from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
-from ..plan.edges import phase_gradient
+from ..plan.places import FINE, detector_places, hole_places
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
     SHADOWS_ON_OPENING,
-    detector_samples,
     extremes,
     has_shadow,
     is_clear,
     lit_nodes,
     lit_pixels,
-    opening_samples,
     shadowed_sum,
     shapes_beside_way,
 )
 from ..plan.way import Channel, Rim
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
-from ..propagation.opening_quadrature import opening_nodes
+from ..propagation.opening_quadrature import TIGHTEST, opening_nodes
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
 from ..propagation.reference import reference_sum
 from ..plan.stage import RAYS, SUM, Stage
@@ -46,8 +44,8 @@ wave of an edge that is otherwise left out."""
 _FEW_PAIRS = 300_000
 """Pairs of scatterer and pixel below which their plain sum takes less time than the search for a better way."""
 
-_GRADIENT_SAFETY = 1.05
-"""Factor on the sampled phase gradient, for what lies between the samples."""
+_QUADRATURE_SHARE = 1e-3
+"""Part of the tolerance to which the integral over an opening is resolved: it converges so fast that this costs little."""
 
 
 @dataclass(frozen=True)
@@ -69,14 +67,17 @@ def channel_field(
     if not channel.openings:
         return _without_openings(setup, scatterers, channel, grid, lobe)
     options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
-    sources, weights, axes, opening = scatterers.position, scatterers.amplitude, setup.frame.axes, None
+    sources, weights, opening = scatterers.position, scatterers.amplitude, None
     tolerance = max(options.tolerance / (len(channel.openings) + 1), 1e-8)
+    quadrature = max(_QUADRATURE_SHARE * tolerance, TIGHTEST)
     stages: list[Stage] = []
     for number, rim in enumerate(channel.openings):
         began = time.perf_counter()
-        targets = _next_targets(channel, number, grid)
+        gradient = channel.gradients[number]
         try:
-            nodes, areas = _nodes(channel, number, rim, extremes(sources, axes), targets, wavelength, tolerance)
+            nodes, areas = opening_nodes(
+                rim.plane.outline, rim.plane.frame, gradient.bound, quadrature, gradient.tilt
+            )
         except InputError as error:
             raise SceneError(
                 f"opening {rim.name!r}: {error}; "
@@ -89,7 +90,7 @@ def channel_field(
             result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
             values, results = result.field, [(result.how, result.numerical_error)]
         stages += _sums((rim.name,), results, began, nodes.size)
-        sources, weights, axes = nodes.points(), values * areas, rim.plane.frame.axes
+        sources, weights = nodes.points(), values * areas
         opening = (rim.normal, rim.index)
     began = time.perf_counter()
     path = _path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
@@ -98,7 +99,7 @@ def channel_field(
     if channel.hidden is not None:
         _require_dark(channel, values)
     stages += _sums(("the detector",), [(result.how, result.numerical_error)], began)
-    return _channel_field(channel, values, stages)
+    return _channel_field(channel, values, stages, quadrature * np.sqrt(len(channel.openings)))
 
 
 def _without_openings(
@@ -110,7 +111,7 @@ def _without_openings(
     clear = is_clear(setup, channel, scatterers.position, setup.frame.axes)
     how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance
     values, results, share = None, [], None
-    for term in _lobe_terms(setup, scatterers, channel, None, detector_samples(grid), lobe):
+    for term in _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe):
         weights = scatterers.amplitude * term.sources
         result = _summed(channel, path, scatterers.position, weights, grid, *how)
         field, error = result.field.reshape(grid.shape), result.numerical_error
@@ -132,7 +133,7 @@ def _on_first_opening(
     how = wavelength, options.method, tolerance
     sources, values, results = scatterers.position, None, []
     shadowed = has_shadow(channel, rim, sources, setup.frame.axes)
-    for term in _lobe_terms(setup, scatterers, channel, rim, opening_samples(rim.plane), lobe):
+    for term in _lobe_terms(setup, scatterers, channel, rim, hole_places(rim.plane, *FINE), lobe):
         weights = scatterers.amplitude * term.sources
         result = _summed(channel, path, sources, weights, nodes, *how)
         field, error = result.field, result.numerical_error
@@ -181,8 +182,12 @@ def _sums(
     ]
 
 
-def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage]) -> ChannelField:
-    error = float(np.sqrt(np.sum([stage.error**2 for stage in stages]) + channel.left_out**2))
+def _channel_field(
+    channel: Channel, values: np.ndarray, stages: list[Stage], quadrature: float = 0.0
+) -> ChannelField:
+    """The whole of a channel; its error is that of the sums, of what is left out and of the quadrature together."""
+    parts = [*(stage.error for stage in stages), channel.left_out, quadrature]
+    error = float(np.sqrt(np.sum(np.square(parts))))
     factor = amplitude_of(channel.interactions)
     values = values if factor == 1.0 else factor * values
     return ChannelField(values, tuple(replace(stage, way=channel.route.label) for stage in stages), error)
@@ -209,7 +214,7 @@ def ray_channel(
     rays, wavelength, began = setup.assembly.options.rays_per_source, setup.assembly.beam.wavelength, time.perf_counter()
     sources, values, traced, warnings = scatterers.position, None, 0, []
     beside = shapes_beside_way(setup, channel, extremes(sources, setup.frame.axes))
-    for term in _lobe_terms(setup, scatterers, channel, None, detector_samples(grid), lobe):
+    for term in _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe):
         weights = scatterers.amplitude * term.sources
         result = ray_field(sequence, grid, sources, weights, wavelength, rays)
         field = result.field
@@ -234,30 +239,12 @@ def ray_channel(
 def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):
     """What leads from point set ``number`` of the channel to the next, which lies in the plane ``end``."""
     between = channel.leg(number)
+    if between and channel.openings:
+        # Openings and shadows have their own say on rims: beside them paths are only there to be interpolated.
+        between = tuple(replace(i, surface=replace(i.surface, outline=None)) for i in between)
     if between:
         return TracedLeg(Sequence((*between, end)), wavelength, opening)
     return FreeSpace() if opening is None else RayleighSommerfeld(opening[0], wavelength)
-
-
-# Quadrature of an opening
-
-
-def _nodes(
-    channel: Channel, number: int, rim: Rim, sources: np.ndarray, targets: np.ndarray, wavelength: float,
-    tolerance: float,
-) -> tuple[PlanePoints, np.ndarray]:  # fmt: skip
-    """Nodes and areas on an opening that resolve the phase of all light from sources to targets over it."""
-    before = channel.openings[number - 1] if number > 0 else None
-    after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
-    gradient = phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY)
-    return opening_nodes(rim.plane.outline, rim.plane.frame, gradient.bound, tolerance, gradient.tilt)
-
-
-def _next_targets(channel: Channel, number: int, grid: PlaneGrid) -> np.ndarray:
-    """Samples of the next opening, or of the detector, (n, 3)."""
-    if number + 1 < len(channel.openings):
-        return opening_samples(channel.openings[number + 1].plane)
-    return detector_samples(grid)
 
 
 # Shadows

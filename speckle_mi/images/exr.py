@@ -12,12 +12,11 @@ import numpy as np
 from ..machine.files import replacing
 from ..machine.memory import excess
 from .exr_layout import damage
+from .colours import LUMINANCE, luminance_weights
 from .field_image import FieldImage, FieldImageError
+from .pages import page_number
 
 _DETAILS = "speckle_mi"
-
-LUMINANCE = {"R": 0.2126, "G": 0.7152, "B": 0.0722}
-"""Weights of the colours in an image's intensity, for the primaries that OpenEXR assumes (Rec. 709)."""
 
 _LARGEST_INT = 2**31 - 1
 
@@ -47,10 +46,12 @@ def write_field(path: str | os.PathLike, image: FieldImage, layers: dict[str, np
         file.write(str(temporary))
 
 
-def read_field(path: str | os.PathLike) -> FieldImage:
+def read_field(path: str | os.PathLike, channel: str | None = None, page: int | None = None) -> FieldImage:
     """Reads a field image. Raises FieldImageError with one line that says what is wrong with the file.
 
     Of a damaged file of compressed pixels, which ours are not, OpenEXR itself prints more to stderr.
+    channel: takes this channel for the intensity, or the colours of this layer; page: part of a file of several,
+    from 1. The image lies where the header's data window puts it on the display window.
     """
     path = Path(path)
     if not path.is_file():
@@ -58,23 +59,59 @@ def read_field(path: str | os.PathLike) -> FieldImage:
         raise FieldImageError(f"{path}: {what}, must be an image")
     if not is_exr(path):
         raise FieldImageError(f"{path}: not an OpenEXR file")
-    channels, attributes = _read(path)
+    channels, attributes = _read(path, page)
     complex_field = None
-    if "E.re" in channels and "E.im" in channels:
+    if channel is None and "E.re" in channels and "E.im" in channels:
         complex_field = channels["E.re"].astype(np.complex64)
         complex_field.imag = channels["E.im"]
-    if "Y" in channels:
-        intensity = channels["Y"].astype(np.float32)
-    elif complex_field is not None:
+    intensity = _intensity(path, channels, attributes, channel)
+    if intensity is None and complex_field is not None:
         intensity = np.abs(complex_field) ** 2
-    elif {"R", "G", "B"} <= set(channels):
-        intensity = sum(weight * channels[name].astype(np.float32) for name, weight in LUMINANCE.items())
-    else:
-        names = ", ".join(sorted(channels)) or "none"
+    if intensity is None:
         raise FieldImageError(
-            f"{path}: has the channels {names}, must have Y (intensity), E.re and E.im (field) or R, G and B"
+            f"{path}: has the channels {_listed(channels)}, must have Y (intensity), E.re and E.im (field) or R, G and"
+            " B, or one of them be named by --channel"
         )
-    return FieldImage(intensity, complex_field, _header(attributes))
+    (left, top), (right, bottom) = _window(attributes["displayWindow"])
+    (data_left, data_top), _ = _window(attributes["dataWindow"])
+    canvas = (bottom - top + 1, right - left + 1)
+    return FieldImage(intensity, complex_field, _header(attributes), (data_top - top, data_left - left), canvas)
+
+
+def _intensity(path: Path, channels: dict, attributes: dict, wanted: str | None) -> np.ndarray | None:
+    """Intensity float32 of the channel or layer ``wanted``, or of Y or the colours; None if there are none."""
+    prefix = ""
+    if wanted is not None:
+        if wanted in channels:
+            return channels[wanted].astype(np.float32)
+        prefix = f"{wanted}."
+        if not any(name.startswith(prefix) for name in channels):
+            raise FieldImageError(f"{path}: has no channel or layer {wanted}, must be one of {_listed(channels)}")
+    if f"{prefix}Y" in channels:
+        return channels[f"{prefix}Y"].astype(np.float32)
+    colours = {colour: channels.get(prefix + colour) for colour in LUMINANCE}
+    if all(values is not None for values in colours.values()):
+        try:
+            weights = luminance_weights(attributes["chromaticities"]) if "chromaticities" in attributes else LUMINANCE
+        except ValueError as error:
+            raise FieldImageError(f"{path}: {error}") from None
+        return sum(weights[colour] * values.astype(np.float32) for colour, values in colours.items()).astype(np.float32)
+    if {f"{prefix}re", f"{prefix}im"} <= set(channels) and prefix:
+        return channels[f"{prefix}re"].astype(np.float32) ** 2 + channels[f"{prefix}im"].astype(np.float32) ** 2
+    if wanted is not None:
+        raise FieldImageError(
+            f"{path}: the layer {wanted} has neither Y nor R, G and B, --channel must be one of {_listed(channels)}"
+        )
+    return None
+
+
+def _listed(channels: dict) -> str:
+    return ", ".join(sorted(channels)) or "none"
+
+
+def _window(box) -> tuple[tuple[int, int], tuple[int, int]]:
+    """((left, top), (right, bottom)) of a window in a header."""
+    return tuple(tuple(int(x) for x in corner) for corner in box)
 
 
 def is_exr(path: str | os.PathLike) -> bool:
@@ -95,27 +132,43 @@ def read_header(path: str | os.PathLike) -> dict:
     return _header(attributes)
 
 
-def _read(path: Path) -> tuple[dict[str, np.ndarray], dict]:
-    """Pixels of every channel, and the attributes of the header."""
-    _check_size(path)
+def _read(path: Path, page: int | None) -> tuple[dict[str, np.ndarray], dict]:
+    """Pixels of every channel of one part, and the attributes of its header."""
+    part = _check_size(path, page)
     if what := damage(path):
         raise FieldImageError(f"{path}: cannot be read, {what}")
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            channels = {name: channel.pixels for name, channel in file.channels().items()}
-            return channels, dict(file.header())  # the file empties its own when it is closed
+            channels = {name: channel.pixels for name, channel in file.channels(part).items()}
+            attributes = dict(file.header(part))  # the file empties its own when it is closed
     except Exception as error:  # the reader raises RuntimeError, ValueError and others of its own
         raise FieldImageError(
             f"{path}: cannot be read, the file is damaged or cut short ({_first_line(error)})"
         ) from None
+    (left, top), (right, bottom) = _window(attributes["dataWindow"])
+    shape = (bottom - top + 1, right - left + 1)
+    # A subsampled channel (of a video's colours) is no image of this size.
+    return {name: pixels for name, pixels in channels.items() if pixels.shape == shape}, attributes
 
 
-def _check_size(path: Path) -> None:
-    """FieldImageError where a header promises more pixels than the file can hold: the reader would take the memory."""
+def _check_size(path: Path, page: int | None) -> int:
+    """Index of the part asked for.
+
+    FieldImageError for what is no flat image, and where a header promises more pixels than the file can hold: the
+    reader would take the memory.
+    """
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
-            (left, top), (right, bottom) = (tuple(int(x) for x in corner) for corner in file.header()["dataWindow"])
-            channels = len(file.header()["channels"])
+            parts = [dict(part.header) for part in file.parts]
+    except Exception as error:
+        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
+    number = page_number(path, len(parts), page)
+    header = parts[number]
+    if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
+        raise FieldImageError(f"{path}: is a deep image, with many samples a pixel; must be flattened first")
+    try:
+        (left, top), (right, bottom) = _window(header["dataWindow"])
+        channels = max(len(part["channels"]) for part in parts)
     except Exception as error:
         raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
     columns, rows, size = right - left + 1, bottom - top + 1, path.stat().st_size
@@ -127,6 +180,7 @@ def _check_size(path: Path) -> None:
         )
     if too_much := excess(_BYTES_WHILE_READING * columns * rows * channels):
         raise FieldImageError(f"{path}: its {columns} x {rows} pixels in {channels} channels {too_much}")
+    return number
 
 
 def _first_line(error: Exception) -> str:

@@ -7,8 +7,101 @@ import math
 import numpy as np
 
 from ..errors import InputError
-from .correlator import correlate
+from .correlator import Correlator
+from .deformation import FITS, Deformation
+from .light import middle
 from .speckle_statistics import centre_of_gravity, contrast, speckle_size
+
+LARGEST_PIECE = 1024
+"""Side of the middle piece of larger images from which the contrast is taken [px]."""
+
+
+class Comparison:
+    """A reference image, its statistics and its correlator, to be compared with any number of moved images.
+
+    reference: (rows, columns) intensity. pitch: [mm], None if unknown (lengths in um are then NaN). window, mask,
+    smoothing: of `Correlator`, which says what raises. fit: "shift", or one of `FITS` to be told of rotation and strain
+    too. offset: (u, v) [px] of the image's middle from the point that centres of gravity are given from.
+    """
+
+    def __init__(
+        self,
+        reference: np.ndarray,
+        pitch: float | None,
+        window: int | None = None,
+        fit: str = "shift",
+        mask: np.ndarray | None = None,
+        smoothing: float | None = None,
+        offset: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        if fit not in FITS:
+            raise InputError(f"fit = {fit}: must be one of {', '.join(FITS)}")
+        self.correlator = Correlator(reference, window, mask=mask, smoothing=smoothing)
+        self.um = math.nan if pitch is None else 1e3 * pitch
+        self.fit = fit
+        self.centre = _centre(reference, offset)
+        self.contrast = contrast(middle(np.asarray(reference), LARGEST_PIECE))
+        self.sizes = speckle_size(middle(np.asarray(reference), LARGEST_PIECE))
+
+    def with_moved(self, moved: np.ndarray, offset: tuple[float, float] = (0.0, 0.0), note: str = "") -> dict:
+        """What the command prints of a moved image (rows, columns); its centre of gravity is given from ``offset``."""
+        shift, um = self.correlator.shift(moved), self.um
+        centres = {"reference": self.centre, "moved": _centre(moved, offset)}
+        centres["shift"] = tuple(b - a for a, b in zip(centres["reference"], centres["moved"]))
+        result = {
+            "shift_u_px": shift.u_px,
+            "shift_v_px": shift.v_px,
+            "shift_u_um": shift.u_px * um,
+            "shift_v_um": shift.v_px * um,
+            "sigma_u_px": shift.sigma_u_px,
+            "sigma_v_px": shift.sigma_v_px,
+            "sigma_u_um": shift.sigma_u_px * um,
+            "sigma_v_um": shift.sigma_v_px * um,
+            "correlation_uv": shift.correlation_uv,
+            "ncc": shift.ncc,
+            "status": shift.status,
+            "message": "; ".join(filter(None, (shift.message, note))),
+            "significance": shift.significance,
+            "window": list(shift.window),
+            **{f"cog_{name}_{axis}_px": c[i] for name, c in centres.items() for i, axis in enumerate("uv")},
+            **{f"cog_{name}_{axis}_um": c[i] * um for name, c in centres.items() for i, axis in enumerate("uv")},
+            "contrast_reference": self.contrast,
+            "contrast_moved": contrast(middle(np.asarray(moved), LARGEST_PIECE)),
+            "speckle_size_u_px": self.sizes[0],
+            "speckle_size_v_px": self.sizes[1],
+            "speckle_size_u_um": self.sizes[0] * um,
+            "speckle_size_v_um": self.sizes[1] * um,
+        }
+        if self.fit != "shift":
+            found = self.correlator.deformation(moved, shift, self.fit)
+            result |= _deformed(self.fit, found)
+            if found is None and shift.ok:
+                result["message"] = "; ".join(filter(None, (result["message"], f"no fit of {self.fit} was found")))
+        return result
+
+
+def _centre(image: np.ndarray, offset: tuple[float, float]) -> tuple[float, float]:
+    u, v = centre_of_gravity(image)
+    return u + offset[0], v + offset[1]
+
+
+def _deformed(fit: str, found: Deformation | None) -> dict:
+    """Rotation and strain, and the shift of the window's middle that goes with them; NaN where none was found."""
+    nothing = (math.nan,) * 3
+    if found is None:
+        found = Deformation(nothing[:2], nothing[:2], math.nan, math.nan, nothing, nothing, math.nan)
+    return {
+        "fit": fit,
+        "fit_correlation": found.correlation,
+        "fit_shift_u_px": found.shift[0],
+        "fit_shift_v_px": found.shift[1],
+        "sigma_fit_shift_u_px": found.sigma_shift[0],
+        "sigma_fit_shift_v_px": found.sigma_shift[1],
+        "rotation_deg": math.degrees(found.rotation),
+        "sigma_rotation_deg": math.degrees(found.sigma_rotation),
+        **{f"strain_{name}": value for name, value in zip(("uu", "vv", "uv"), found.strain)},
+        **{f"sigma_strain_{name}": value for name, value in zip(("uu", "vv", "uv"), found.sigma_strain)},
+    }
 
 
 def compare(reference: np.ndarray, moved: np.ndarray, pitch: float | None, window: int | None = None) -> dict:
@@ -16,29 +109,7 @@ def compare(reference: np.ndarray, moved: np.ndarray, pitch: float | None, windo
 
     pitch: [mm], None if unknown (lengths in um are then NaN). Raises InputError as `Correlator` does.
     """
-    shift = correlate(reference, moved, window)
-    um = math.nan if pitch is None else 1e3 * pitch
-    centres = {"reference": centre_of_gravity(reference), "moved": centre_of_gravity(moved)}
-    centres["shift"] = tuple(b - a for a, b in zip(centres["reference"], centres["moved"]))
-    sizes = speckle_size(reference)
-    return {
-        "shift_u_px": shift.u_px,
-        "shift_v_px": shift.v_px,
-        "shift_u_um": shift.u_px * um,
-        "shift_v_um": shift.v_px * um,
-        "ncc": shift.ncc,
-        "status": shift.status,
-        "message": shift.message,
-        "significance": shift.significance,
-        "window": list(shift.window),
-        **{f"cog_{name}_{axis}_um": c[i] * um for name, c in centres.items() for i, axis in enumerate("uv")},
-        "contrast_reference": contrast(reference),
-        "contrast_moved": contrast(moved),
-        "speckle_size_u_px": sizes[0],
-        "speckle_size_v_px": sizes[1],
-        "speckle_size_u_um": sizes[0] * um,
-        "speckle_size_v_um": sizes[1] * um,
-    }
+    return Comparison(reference, pitch, window).with_moved(moved)
 
 
 def common_pitch(*headers: dict) -> float | None:

@@ -3,9 +3,9 @@
 Images are (rows, columns) arrays of intensity. A shift (u, v) [px], u along increasing column and v along
 increasing row, says where the features went: moved(x) = reference(x - shift).
 
-1. The window at the middle of the reference is correlated with every place of the moved image it fits in.
-2. Only if that shows no significant peak: both whole images are correlated over their overlap, and a window that lies
-   on both patterns measures the shift.
+What stands still in both images is taken off first: pixels and lines that stand out, a colour mosaic, an uneven light
+(:mod:`defects`, :mod:`light`). Then a window of the reference is found in the moved image (:mod:`matching`) and
+registered to a fraction of a pixel (:mod:`registration`).
 
 A shift is reported only if its peak is one that unrelated patterns would show once in a thousand pairs.
 """
@@ -13,15 +13,18 @@ A shift is reported only if its peak is one that unrelated patterns would show o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
 from ..errors import InputError
-from .ncc import Overlaps, Template
-from .peak import FEWEST_SPECKLES, PATCH, Peak, Texture, argmax, least_significant, most_significant, peak_at
-from .speckle_statistics import as_image, deviation
+from .covariance import as_image, deviation, in_range
+from .defects import Defects, Usual, defects_of, mosaic_gains, repaired, without_mosaic
+from .deformation import Deformation
+from .light import flatten, smoothing_of
+from .matching import Matcher
+from .shift import Shift, no_shift
+from .speckle_statistics import is_evenly_lit
 
 DEFAULT_WINDOW = 256
 """Side of the correlation window [px]."""
@@ -38,32 +41,8 @@ LIT_CORNERS = 0.7
 SHRINKING = 0.9
 """Factor from one window tried to the next smaller one."""
 
-LEAST_OVERLAP = 1 / 16
-"""Share of the pattern that must still be on the detector for its shift to be measured."""
-
-
-@dataclass(frozen=True)
-class Shift:
-    """Where the features of a pattern went.
-
-    u_px, v_px: shift along columns and rows [px]; NaN unless ``status`` is "ok" (and along an axis on which
-    the image has a single pixel). ncc: interpolated peak of the correlation, NaN if there is none to speak of.
-    status: "ok", "not significant", "ambiguous", "left the detector" or "no contrast"; message: one sentence
-    saying why, empty if ok. significance: NCC at the peak's pixel over the least that is significant.
-    window: (rows, columns) of the template the result rests on [px].
-    """
-
-    u_px: float
-    v_px: float
-    ncc: float
-    status: str
-    message: str
-    significance: float
-    window: tuple[int, int]
-
-    @property
-    def ok(self) -> bool:
-        return self.status == "ok"
+MIDDLE = 1024
+"""Side of the middle of a larger image that is looked at first [px], or four windows."""
 
 
 def _lit_window(image: np.ndarray, window: tuple[int, int]) -> tuple[int, int]:
@@ -85,150 +64,163 @@ class Correlator:
 
     reference: (rows, columns) intensity. window: side of the square window at its middle [px], clipped to 5/8 of a
     shorter side of the image; without it 256, clipped on both sides alike and shrunk to where the light is: an edge of
-    the light stands still when the pattern moves, and would hold the peak back. Raises InputError for pixels that are
-    not finite and for a window below 4 or larger than the image.
+    the light stands still when the pattern moves, and would hold the peak back. mask: (rows, columns) bool, False for
+    pixels that say nothing in any image. smoothing: structure larger than about this [px] is taken off; without it,
+    light that is uneven. Raises InputError for pixels that are not finite, for a window below 4 or larger than the
+    image and for a mask of another shape or without a valid pixel.
     """
 
-    def __init__(self, reference: np.ndarray, window: int | None = None) -> None:
-        image = as_image(reference, "reference image")
-        self.shape = rows, columns = image.shape
-        if window is not None and not 4 <= window <= max(self.shape):
+    def __init__(
+        self,
+        reference: np.ndarray,
+        window: int | None = None,
+        *,
+        mask: np.ndarray | None = None,
+        smoothing: float | None = None,
+    ) -> None:
+        shape = np.shape(reference)
+        if window is not None and len(shape) == 2 and not 4 <= window <= max(shape):
             raise InputError(
-                f"window = {window}: must be 4 to {max(self.shape)} px, the image has {columns} x {rows} pixels"
+                f"window = {window}: must be 4 to {max(shape)} px, the image has {shape[1]} x {shape[0]} pixels"
             )
+        if smoothing is not None and not 1.0 <= smoothing < math.inf:
+            raise InputError(f"smoothing = {smoothing:g} px: must be at least 1 px")
+        self._middle = None
+        side = max(MIDDLE, 4 * (window or DEFAULT_WINDOW))
+        if len(shape) == 2 and min(shape) > 1 and max(shape) > side:
+            self._place = tuple(slice((n - min(n, side)) // 2, (n + min(n, side)) // 2) for n in shape)
+            inner = None if mask is None else mask[self._place]
+            if inner is None or inner.any():
+                self._middle = Correlator(np.asarray(reference)[self._place], window, mask=inner, smoothing=smoothing)
+        self.shape, self._raw = shape, reference
+        self._mask, self._asked = _checked_mask(mask, shape), smoothing
+        self._matchers: dict[float | None, Matcher | None] = {}
+        self._window_asked = window
+        self._image = None
+        if self._middle is None:
+            self._prepare()
+        self.window = self._middle.window if self._middle is not None else self._window
+
+    def _prepare(self) -> None:
+        """Everything that is needed of the whole reference."""
+        image = as_image(self._raw, "reference image")
+        window = self._window_asked
         # A window asked for is kept on a side that holds it: larger shifts are then stage 2's.
-        self.window = tuple(
+        self._window = tuple(
             window if window is not None and window <= n else min(window or DEFAULT_WINDOW, math.ceil(WINDOW_SHARE * n))
             for n in self.shape
         )
         if window is None:
-            self.window = _lit_window(image, self.window)
-        self._corner = tuple((n - w) // 2 for n, w in zip(self.shape, self.window))
-        self._reference = deviation(image)
-        self._central = self._texture = None
-        if self._reference is not None:
-            piece = self._reference[tuple(slice(i, i + w) for i, w in zip(self._corner, self.window))]
-            if deviation(piece) is not None:  # the light may miss the middle of the detector
-                self._central, self._texture = Template(piece, self.shape), Texture(piece)
-
-    @cached_property
-    def _whole(self) -> tuple[Overlaps, Texture]:
-        """What stage 2 needs of the reference, made when it is first needed."""
-        return Overlaps(self._reference), Texture(self._reference)
+            self._window = _lit_window(image, self._window)
+        self._image, self._defects, self._mosaic = _cleaned(image, self._mask)
+        self._smoothing = self._asked or _uneven(self._image)
 
     def shift(self, moved: np.ndarray) -> Shift:
         """Shift of ``moved`` (rows, columns) from the reference.
 
         Raises InputError if its shape is not the reference's or its pixels are not finite.
         """
+        if np.shape(moved) != self.shape and np.ndim(moved) == 2:
+            raise InputError(
+                f"moved image: shape {np.shape(moved)} differs from the reference image's {tuple(self.shape)}"
+            )
+        if self._middle is not None:
+            found = self._middle.shift(np.asarray(moved)[self._place])
+            if found.ok or found.status == "ambiguous":
+                return found
+        if self._image is None:
+            self._prepare()
         image = as_image(moved, "moved image")
-        if image.shape != self.shape:
-            raise InputError(f"moved image: shape {image.shape} differs from the reference image's {self.shape}")
-        pattern = deviation(image)
-        for name, values in (("reference", self._reference), ("moved", pattern)):
-            if values is None:
-                return self._no_shift("no contrast", f"the {name} image is constant, there is no pattern to follow")
-        return self._near(pattern) or self._far(pattern)
+        raw, (image, defects, mosaic) = image, _cleaned(image, self._mask, self._defects.usual)
+        smoothing = self._smoothing or _uneven(image)
+        matcher, pattern = self._matcher(smoothing), _pattern(image, smoothing)
+        for name, values, given, found in (
+            ("reference", matcher, self._raw, self._defects), ("moved", pattern, raw, defects)
+        ):  # fmt: skip
+            if values is not None:
+                continue
+            if found.any and deviation(np.asarray(given, dtype=float)) is not None:
+                message = f"all contrast of the {name} image is in what stands out of it like a defect: {found}"
+                return no_shift("not significant", message, self._window)
+            message = f"the {name} image is constant, there is no pattern to follow"
+            return no_shift("no contrast", message, self._window)
+        found = matcher.shift(pattern, self._valid(defects))
+        return _noted(found, self._defects.shared(defects), self._mosaic or mosaic)
 
-    def _no_shift(self, status: str, message: str, ncc: float = math.nan, significance: float = math.nan) -> Shift:
-        return Shift(math.nan, math.nan, ncc, status, message, significance, self.window)
+    def deformation(self, moved: np.ndarray, shift: Shift, fit: str) -> Deformation | None:
+        """How the window was turned and strained besides a shift that was measured; None where that is not to be had.
 
-    def _near(self, pattern: np.ndarray) -> Shift | None:
-        """Stage 1: the central window over the moved image; None if no peak is significant."""
-        if self._central is None:
-            return None
-        surface = self._central.ncc(pattern)
-        peak = most_significant(surface, math.prod(self.window), self._texture)
-        if peak.significance < 1.0:
-            return None
-        if peak.rival is not None:
-            return self._ambiguous(peak, self._corner)
-        displacement = tuple(i - c for i, c in zip(peak.place, self._corner))
-        searched = all(places > 1 or n == 1 for places, n in zip(surface.shape, self.shape))
-        if peak.offset is None or not searched:
-            return self._symmetric(pattern, displacement, peak, 0.0)
-        return self._found(peak, displacement, self.window)
-
-    def _far(self, pattern: np.ndarray) -> Shift:
-        """Stage 2: the whole images over their overlap, then a window placed on both patterns."""
-        overlaps, texture = self._whole
-        peak = most_significant(overlaps.ncc(pattern), overlaps.pixels, texture)
-        middle = tuple(n - 1 for n in self.shape)
-        if (most := float(texture.speckles(math.prod(self.shape)))) < FEWEST_SPECKLES:
-            message = (
-                f"the contrast of the image rests on {most:.0f} independent speckles, at least {FEWEST_SPECKLES} are"
-                " needed to know a pattern again"
-            )
-            return self._no_shift("not significant", message, peak.ncc, peak.significance)
-        if peak.significance < 1.0:
-            message = (
-                f"no displacement gives a significant correlation (best {peak.ncc:.3f}, {peak.significance:.2f} of what"
-                " is needed): the patterns are unrelated, or this one has left the detector"
-            )
-            return self._no_shift("not significant", message, peak.ncc, peak.significance)
-        if peak.rival is not None:
-            return self._ambiguous(peak, middle)
-        displacement = tuple(i - m for i, m in zip(peak.place, middle))
-        share = overlaps.pixels[peak.place] / math.prod(self.shape)
-        if share < LEAST_OVERLAP:
-            message = (
-                f"the pattern moved by about ({displacement[1]}, {displacement[0]}) px in (u, v) and only"
-                f" {100 * share:.1f} % of it is still on the detector"
-            )
-            return self._no_shift("left the detector", message, peak.ncc, peak.significance)
-        least = least_significant(texture.speckles(math.prod(self.window)), overlaps.pixels.size / texture.area)
-        return self._symmetric(pattern, displacement, peak, float(least))
-
-    def _symmetric(self, pattern: np.ndarray, coarse: tuple[int, int], peak: Peak, least: float) -> Shift:
-        """Measure near the displacement ``coarse`` (v, u) with a template and its copy placed evenly about the middle.
-
-        The template is the window, or all that both patterns share if the window's NCC is below ``least``.
+        fit: one of `deformation.FITS`.
         """
-        for limit in (self.window, self.shape):
-            displacement = coarse
-            for _ in range(6):  # each round moves the template to where the last one saw the peak
-                surface, size = self._around(pattern, displacement, limit)
-                if surface is None:
-                    break
-                local = peak_at(surface, argmax(surface))
-                displacement = tuple(d + i - n // 2 for d, i, n in zip(displacement, local.place, surface.shape))
-                if local.offset is None:
-                    continue
-                if limit == self.window and local.ncc < least:
-                    break
-                local = Peak(local.place, local.offset, local.ncc, peak.significance)
-                return self._found(local, displacement, size)
-        return self._ambiguous(peak, None)
+        if not shift.ok or math.isnan(shift.u_px) or math.isnan(shift.v_px):
+            return None
+        if self._middle is not None and shift.window == self._middle.window:
+            return self._middle.deformation(np.asarray(moved)[self._place], shift, fit)
+        if self._image is None:
+            self._prepare()
+        image, _, _ = _cleaned(as_image(moved, "moved image"), self._mask, self._defects.usual)
+        smoothing = self._smoothing or _uneven(image)
+        matcher, pattern = self._matcher(smoothing), _pattern(image, smoothing)
+        return None if matcher is None or pattern is None else matcher.deformation(pattern, shift, fit)
 
-    def _around(
-        self, pattern: np.ndarray, displacement: tuple[int, int], limit: tuple[int, int]
-    ) -> tuple[np.ndarray | None, tuple[int, int]]:
-        """NCC within a few pixels of a displacement, None where no template fits, and the template's size."""
-        reach = tuple(PATCH + 1 if n > 1 else 0 for n in self.shape)
-        size = tuple(min(w, n - abs(d) - 2 * r) for w, n, d, r in zip(limit, self.shape, displacement, reach))
-        if min(size) < 1:
-            return None, size
-        start = [(n - s - d) // 2 for n, s, d in zip(self.shape, size, displacement)]
-        piece = self._reference[tuple(slice(i, i + s) for i, s in zip(start, size))]
-        around = pattern[tuple(slice(i + d - r, i + d + r + s) for i, d, r, s in zip(start, displacement, reach, size))]
-        if deviation(piece) is None or deviation(around) is None:
-            return None, size
-        return Template(piece, around.shape).ncc(around), size
+    def _matcher(self, smoothing: float | None) -> Matcher | None:
+        """The reference's window, of its pattern without what a smoothing takes off; None without a pattern."""
+        if smoothing not in self._matchers:
+            pattern = _pattern(self._image, smoothing)
+            corner = tuple((n - w) // 2 for n, w in zip(self.shape, self._window))
+            valid = self._valid(self._defects)
+            self._matchers[smoothing] = None if pattern is None else Matcher(pattern, self._window, corner, valid)
+        return self._matchers[smoothing]
 
-    def _found(self, peak: Peak, displacement: tuple[int, int], window: tuple[int, int]) -> Shift:
-        v, u = (
-            d + o if n > 1 else math.nan  # a single row or column cannot show motion across itself
-            for d, o, n in zip(displacement, peak.offset, self.shape)
+    def _valid(self, defects: Defects) -> np.ndarray | None:
+        if not defects.any:
+            return self._mask
+        return ~defects.mask if self._mask is None else self._mask & ~defects.mask
+
+
+def _checked_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray | None:
+    if mask is None:
+        return None
+    mask = np.asarray(mask, dtype=bool)
+    if mask.shape != tuple(shape):
+        raise InputError(f"mask: shape {mask.shape} differs from the images' {tuple(shape)}")
+    if not mask.any():
+        raise InputError("mask: leaves no pixel, must be true (not 0) where the images are to be looked at")
+    return None if mask.all() else mask
+
+
+def _cleaned(
+    image: np.ndarray, mask: np.ndarray | None, usual: Usual | None = None
+) -> tuple[np.ndarray, Defects, bool]:
+    """An image without mosaic, what stands out or is masked filled in; what stood out; whether it was a mosaic."""
+    image = in_range(image)
+    if (gains := mosaic_gains(image)) is not None:
+        image = without_mosaic(image, gains)
+    if mask is not None:
+        image = repaired(image, ~mask)
+    defects = defects_of(image, usual)
+    return (repaired(image, defects.mask) if defects.any else image), defects, gains is not None
+
+
+def _uneven(image: np.ndarray) -> float | None:
+    """The smoothing that takes off the light of an image, None where it is even."""
+    return None if is_evenly_lit(image) else smoothing_of(image)
+
+
+def _pattern(image: np.ndarray, smoothing: float | None) -> np.ndarray | None:
+    return deviation(image if smoothing is None else flatten(image, smoothing))
+
+
+def _noted(found: Shift, still: Defects, mosaic: bool) -> Shift:
+    """A shift with notes on what was repaired."""
+    notes = [found.message]
+    if mosaic:
+        notes.append(
+            "every second pixel differs, as behind a colour filter mosaic (Bayer): the four kinds were evened out"
         )
-        return Shift(u, v, peak.ncc, "ok", "", peak.significance, window)
-
-    def _ambiguous(self, peak: Peak, origin: tuple[int, int] | None) -> Shift:
-        if origin is None:
-            message = "the correlation peak has no definite top within what both images share"
-        else:
-            (v1, u1), (v2, u2) = ([i - o for i, o in zip(place, origin)] for place in (peak.place, peak.rival))
-            message = f"shifts of ({u1}, {v1}) and ({u2}, {v2}) px in (u, v) correlate equally well"
-        return self._no_shift("ambiguous", message, peak.ncc, peak.significance)
+    if still.any:
+        notes.append(f"what stands out at the same place of both images was left out: {still}")
+    return replace(found, message="; ".join(filter(None, notes)))
 
 
 def correlate(reference: np.ndarray, moved: np.ndarray, window: int | None = None) -> Shift:

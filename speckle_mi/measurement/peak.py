@@ -8,7 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from .speckle_statistics import autocovariance, central_lobe
+from .covariance import autocovariance, central_lobe, without_noise
 
 FALSE_ALARM = 1e-3
 """Probability that two unrelated patterns are given a shift; each of the two stages gets half."""
@@ -18,6 +18,9 @@ RIVAL = 0.9
 
 PATCH = 2
 """Pixels on each side of the peak in the sub-pixel fit."""
+
+REPEATING = 0.8
+"""Autocovariance away from the middle at which a pattern repeats itself."""
 
 FEWEST_SPECKLES = 16
 """Fewest independent speckles that can tell two patterns apart at all."""
@@ -78,7 +81,9 @@ class Texture:
     """What chance can do with a pattern: its speckle area, its lobe, and how many speckles carry its contrast.
 
     area: integral of the squared normalised autocovariance over the central lobe [px^2], the area on which two
-    patterns agree or disagree together. lobe: half extents (v, u) [px].
+    patterns agree or disagree together. lobe: half extents (v, u) [px]. next: autocovariance of next neighbours without
+    noise. top: its height at zero lag over the curve through the other lags. repeats:
+    whether the pattern is like itself at some distance.
     """
 
     def __init__(self, piece: np.ndarray) -> None:
@@ -88,6 +93,10 @@ class Texture:
         self.lobe = tuple(min(reach, n // 3) for reach, n in zip(central_lobe(covariance), piece.shape))
         v, u = self.lobe
         self.area = float(np.sum(np.square(covariance[rows - 1 - v : rows + v, columns - 1 - u : columns + u])))
+        clean = without_noise(covariance)
+        self.next = _next_neighbour(clean)
+        self.top = height_over_neighbours(clean, tuple(n // 2 for n in clean.shape))
+        self.repeats = _repetition(covariance, self.lobe) >= REPEATING
         squares = np.square(piece - piece.mean())
         # A few bright pixels carry the contrast of an image whose kurtosis is above that of speckle.
         self.carrying = min(1.0, SPECKLE_KURTOSIS * float(squares.mean() ** 2 / np.mean(squares**2)))
@@ -97,20 +106,53 @@ class Texture:
         return pixels * (self.carrying / self.area)
 
 
+def _next_neighbour(covariance: np.ndarray) -> float:
+    row, column = (n // 2 for n in covariance.shape)
+    sides = [covariance[row + 1, column]] if covariance.shape[0] > 1 else []
+    sides += [covariance[row, column + 1]] if covariance.shape[1] > 1 else []
+    return float(np.mean(sides)) if sides else 0.0
+
+
+def height_over_neighbours(surface: np.ndarray, place: tuple[int, int]) -> float:
+    """Height of a surface at a place over the curves through its three neighbours each way, 0 near the edge."""
+    heights = []
+    for axis, n in enumerate(surface.shape):
+        if n == 1:
+            continue
+        i = place[axis]
+        if not 3 <= i < n - 3:
+            return 0.0
+        line = surface[i - 3 : i + 4, place[1]] if axis == 0 else surface[place[0], i - 3 : i + 4]
+        heights.append(float(line[3] - (15 * (line[2] + line[4]) - 6 * (line[1] + line[5]) + line[0] + line[6]) / 20))
+    return min(heights, default=0.0)
+
+
+def _repetition(covariance: np.ndarray, lobe: tuple[int, int]) -> float:
+    """Largest autocovariance outside of the lobe, at lags of up to three quarters of the piece."""
+    row, column = (n // 2 for n in covariance.shape)
+    far = tuple(slice(m - 3 * m // 4, m + 3 * m // 4 + 1) for m in (row, column))
+    outside = covariance[far].copy()
+    middle = tuple(slice(max(n // 2 - reach, 0), n // 2 + reach + 1) for n, reach in zip(outside.shape, lobe))
+    outside[middle] = 0.0
+    return float(outside.max())
+
+
 @dataclass(frozen=True)
 class Peak:
     """A maximum of a correlation surface.
 
     place: its pixel. offset: (v, u) [px] from there, None where the surface has no smooth maximum inside a patch
     or it lies at the edge. significance: its pixel's NCC over the least significant.
-    rival: place of another peak as good.
+    other: place of the next significant peak, None if there is none, and rivals: whether it is about as high.
     """
 
     place: tuple[int, int]
     offset: tuple[float, float] | None
     ncc: float
     significance: float = math.nan
-    rival: tuple[int, int] | None = None
+    other: tuple[int, int] | None = None
+    other_significance: float = 0.0
+    rivals: bool = False
 
 
 def peak_at(surface: np.ndarray, place: tuple[int, int]) -> Peak:
@@ -153,8 +195,9 @@ def most_significant(surface: np.ndarray, pixels: np.ndarray | float, texture: T
     lobe = tuple(slice(max(i - reach, 0), i + reach + 1) for i, reach in zip(place, texture.lobe))
     ratio[lobe] = 0.0
     other = argmax(ratio)
-    if significance >= 1.0 and ratio[other] >= 1.0 and peak_at(surface, other).ncc >= RIVAL * peak.ncc:
-        return Peak(place, peak.offset, peak.ncc, significance, other)
+    if significance >= 1.0 and ratio[other] >= 1.0:
+        rivals = peak_at(surface, other).ncc >= RIVAL * peak.ncc
+        return Peak(place, peak.offset, peak.ncc, significance, other, float(ratio[other]), rivals)
     # Unrelated patterns scatter by 1/sqrt(speckles); if the rest of this surface scatters more, the bar is higher.
     scatter = np.where(enough, surface * np.sqrt(speckles), 0.0)
     scatter[lobe] = 0.0

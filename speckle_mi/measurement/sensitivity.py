@@ -68,6 +68,7 @@ def fit_sensitivity(
     correlation: np.ndarray | None = None,
     theory: float | None = None,
     unit: str = "mm/mm",
+    sigma: np.ndarray | None = None,
 ) -> Sensitivity:
     """Sensitivity from the shifts that n displacements caused on several independent surfaces.
 
@@ -80,14 +81,16 @@ def fit_sensitivity(
 
     displacements: (n,) [mm or deg]. shifts: (surfaces, n) [um], NaN where not measured. correlation: (surfaces, n)
     peak heights, or None for equal weights (a centre of gravity); a frame whose correlation is not above 0 counts as
-    not measured. theory: slope [unit]; None or NaN where there is none. unit: "mm/mm" or "mm/deg".
+    not measured. sigma: (surfaces, n) standard uncertainties of the shifts [um], which take the place of the rule by
+    correlation where all measured frames of a motion have one. theory: slope
+    [unit]; None or NaN where there is none. unit: "mm/mm" or "mm/deg".
 
     Raises ValueError for arrays that do not fit together, or displacements that are not finite.
     """
     displacements, shifts, correlation = _checked(displacements, shifts, correlation)
     theory = None if theory is None or not np.isfinite(theory) else float(theory)
     moved = displacements != 0
-    weights = shift_weights(shifts, correlation)[:, moved]
+    weights = shift_weights(shifts, correlation, sigma)[:, moved]
     displacements, shifts = displacements[moved], np.where(weights > 0, shifts[:, moved], 0.0)
     used = int(np.count_nonzero(weights))
     slope, low, high, basis, note = _slope(displacements, shifts, weights)
@@ -104,8 +107,13 @@ def fit_sensitivity(
     )
 
 
-def shift_weights(shifts: np.ndarray, correlation: np.ndarray | None = None) -> np.ndarray:
+def shift_weights(
+    shifts: np.ndarray, correlation: np.ndarray | None = None, sigma: np.ndarray | None = None
+) -> np.ndarray:
     """Weights (surfaces, n) of shifts [1]: 1/((1 - c)/c + `NOISE_FLOOR`), 1 without correlation, 0 if not measured.
+
+    With sigma, the shifts' standard uncertainties, 1/(sigma^2 + `NOISE_FLOOR` times the largest), and sigma the larger
+    of the frame's own and the rms of all surfaces at that displacement.
 
     c is the lower of the frame's own peak and the mean peak of all surfaces at that displacement. Decorrelation is
     the same for every surface; close to 1 a single peak's chance height would give weights that differ tenfold.
@@ -116,11 +124,24 @@ def shift_weights(shifts: np.ndarray, correlation: np.ndarray | None = None) -> 
         return measured.astype(np.float64)
     correlation = np.asarray(correlation, dtype=np.float64)
     measured &= np.isfinite(correlation) & (correlation > 0)
+    variance = None if sigma is None or not np.any(measured) else _variances(np.asarray(sigma, float), measured)
+    if variance is not None:
+        return np.where(measured, variance.max() / (variance + NOISE_FLOOR * variance.max()), 0.0)
     own = np.where(measured, np.minimum(correlation, 1.0), 0.0)
     mean = own.sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
     peak = np.minimum(own, mean)
     # c/(1 - c + c floor) is the same without a division by a vanishing c.
     return peak / (1 - peak + peak * NOISE_FLOOR)
+
+
+def _variances(sigma: np.ndarray, measured: np.ndarray) -> np.ndarray | None:
+    """Variances (surfaces, n) to weight by, None where a frame that counts has none, or all are 0."""
+    if not np.all(np.isfinite(sigma[measured])):
+        return None
+    square = np.where(measured, np.square(sigma), 0.0)
+    mean = square.sum(axis=0) / np.maximum(measured.sum(axis=0), 1)
+    variance = np.maximum(square, mean)
+    return variance if variance.max() > 0.0 else None
 
 
 def _slope(displacements, shifts, weights) -> tuple[float, float, float, str, str]:

@@ -2,7 +2,10 @@
 
 Images are (rows, columns) arrays of intensity in any unit; lengths are pixels, ``u`` along increasing
 column and ``v`` along increasing row. A statistic an image cannot give (too small, or without contrast)
-is NaN. Source: J. W. Goodman, Speckle Phenomena in Optics, 2nd ed. (2020), DOI 10.1117/3.2548484.
+is NaN. Contrast and size are those of the speckle: where the light is uneven (a beam's envelope) they are taken
+after the smooth mean is divided out, and pixels that no speckle makes (hot ones) are left out.
+Source: J. W. Goodman, Speckle Phenomena in Optics, 2nd ed. (2020), DOI 10.1117/3.2548484; J. D. Briers and S. Webster,
+DOI 10.1117/12.231379, for the local contrast.
 """
 
 from __future__ import annotations
@@ -10,53 +13,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import fft
 
-from ..errors import InputError
+from .covariance import as_image, autocovariance, central_lobe, checked_image, deviation, half_width
+from .covariance import in_range, without_noise
+from .defects import defects_of, repaired
+from .light import FAINTEST, is_uneven, middle, smooth_mean, smoothing_of
 
-FLAT = 1e-6
-"""rms deviation, relative to the largest pixel, below which an image is constant: float32 rounding is 3e-8."""
+LARGEST_PIXEL = 16.0
+"""Largest pixel of a speckle image over its mean: exponential intensity has it once in ten million pixels."""
 
-LOBE_REACH = 2.5
-"""Central lobe of a correlation, in half widths at half maximum: a Gaussian lobe has fallen to 1.3 % there."""
-
-
-def as_image(image: np.ndarray, name: str = "image") -> np.ndarray:
-    """``image`` as a float64 (rows, columns) array of finite pixels.
-
-    Raises InputError, naming the image, if it is not two-dimensional, empty, complex or holds NaN or infinity.
-    """
-    array = np.asarray(image)
-    if array.ndim != 2 or array.size == 0:
-        raise InputError(f"{name}: shape {array.shape} is not an image, must be (rows, columns)")
-    if np.iscomplexobj(array):
-        raise InputError(f"{name}: complex pixels, give the intensity abs(field)**2")
-    array = array.astype(np.float64)
-    # One sum instead of a test a pixel: any NaN or infinity survives it.
-    if not np.isfinite(array.sum()):
-        bad = array.size - int(np.isfinite(array).sum())
-        if bad:
-            raise InputError(f"{name}: {bad} of {array.size} pixels are NaN or infinite, all must be finite")
-        raise InputError(f"{name}: pixels up to {np.abs(array).max():.3g} overflow float64 sums, scale the image down")
-    return array
-
-
-def deviation(image: np.ndarray) -> np.ndarray | None:
-    """Finite float64 image minus its mean, divided by its rms deviation; None if the image is constant."""
-    if not np.any(image):
-        return None
-    scaled = _in_range(image)
-    scaled -= scaled.mean()
-    rms = math.sqrt(float(np.mean(np.square(scaled))))
-    if rms < FLAT:
-        return None
-    scaled /= rms
-    return scaled
-
-
-def _in_range(image: np.ndarray) -> np.ndarray:
-    """A float64 image over the power of two next above its largest pixel: exact, and its squares stay in range."""
-    return np.ldexp(image, -math.frexp(float(np.max(np.abs(image))))[1])
+LARGEST_PIECE = 1024
+"""Side of the middle piece from which second-order statistics are taken [px]."""
 
 
 def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
@@ -64,82 +31,79 @@ def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
 
     NaN for an image without light. Raises InputError for pixels that are not finite.
     """
-    light = as_image(image)
-    total = float(light.sum())
+    light = checked_image(image)
+    columns_light, rows_light = (light.sum(axis=axis, dtype=np.float64) for axis in (0, 1))
+    total = float(rows_light.sum())
     if total <= 0.0:
         return math.nan, math.nan
     rows, columns = light.shape
     u = np.arange(columns) - (columns - 1) / 2
     v = np.arange(rows) - (rows - 1) / 2
-    return float(light.sum(axis=0) @ u) / total, float(light.sum(axis=1) @ v) / total
+    return float(columns_light @ u) / total, float(rows_light @ v) / total
+
+
+def _neighbours_size(image: np.ndarray) -> float:
+    """Speckle size [px] that the covariances at 1 and 2 px alone tell: quick, too large under an envelope.
+
+    Of a Gaussian lobe their ratio tells the size whatever the noise of the pixels.
+    """
+    pattern = deviation(image)
+    if pattern is None:
+        return math.nan
+    # Every fourth line says enough.
+    lines = [np.moveaxis(pattern, axis, 0)[:, ::4] for axis in (0, 1) if pattern.shape[axis] > 2]
+    if not lines:
+        return math.nan
+    one, two = (float(np.mean([np.mean(line[lag:] * line[:-lag]) for line in lines])) for lag in (1, 2))
+    if two > 0.02:
+        return math.sqrt(12.0 * math.log(2.0) / math.log(max(one / two, 1.0001)))
+    return math.sqrt(4.0 * math.log(2.0) / -math.log(min(max(one, 0.05), 0.9999)))
+
+
+def is_evenly_lit(image: np.ndarray) -> bool:
+    """Whether the mean of a finite image (rows, columns) is the same everywhere, as far as its speckles tell."""
+    return not is_uneven(image, _neighbours_size(image))
+
+
+def _speckle(image: np.ndarray) -> np.ndarray:
+    """A finite image without hot pixels, and over its smooth mean where the light is uneven."""
+    if image.max() > LARGEST_PIXEL * abs(image.mean()) and (found := defects_of(image)).any:
+        image = repaired(image, found.pixels)
+    if is_evenly_lit(image) or (sigma := smoothing_of(image)) is None:
+        return image
+    mean = smooth_mean(image, sigma)
+    lit = mean > FAINTEST * mean.max()
+    # Beyond the light there is no speckle: there the ratio is its mean.
+    return np.where(lit, image / np.where(lit, mean, 1.0), 1.0) if lit.all() else _lit_part(image, mean, lit)
+
+
+def _lit_part(image: np.ndarray, mean: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """Image over mean on the smallest rectangle around the light, 1 outside of it."""
+    rows, columns = (np.flatnonzero(lit.any(axis=axis)) for axis in (1, 0))
+    box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
+    return np.where(lit, image / np.where(lit, mean, 1.0), np.nan)[box]
 
 
 def contrast(intensity: np.ndarray) -> float:
     """Speckle contrast: rms deviation over mean, 1 for fully developed polarised speckle (Goodman, ch. 3).
 
-    intensity: (rows, columns). NaN for an image without light. Raises InputError for pixels that are not finite.
+    intensity: (rows, columns). Under uneven light the local contrast. NaN for an image without light. Raises
+    InputError for pixels that are not finite.
     """
-    image = _in_range(as_image(intensity, "intensity"))
-    mean = float(image.mean())
-    return float(image.std()) / mean if mean > 0.0 else math.nan
-
-
-def autocovariance(intensity: np.ndarray) -> np.ndarray:
-    """Normalised autocovariance c(dv, du), 1 at zero lag; for fully developed speckle an estimate of |mu|^2.
-
-    intensity: (rows, columns). Returns (2 rows - 1, 2 columns - 1), zero lag in the middle. Each lag is the mean
-    over the pixels that overlap, so its expectation does not fall off with the lag (it is low by
-    1/speckle_count everywhere, because the mean is the image's own). All NaN for a constant image.
-    Raises InputError for pixels that are not finite.
-    """
-    image = as_image(intensity, "intensity")
-    rows, columns = image.shape
-    pattern = deviation(image)
-    if pattern is None:
-        return np.full((2 * rows - 1, 2 * columns - 1), np.nan)
-    padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in image.shape)
-    spectrum = fft.rfft2(pattern, padded, workers=2)
-    power = spectrum.real**2 + spectrum.imag**2
-    sums = fft.fftshift(fft.irfft2(power, padded, workers=2))
-    middle_v, middle_u = padded[0] // 2, padded[1] // 2
-    sums = sums[middle_v - rows + 1 : middle_v + rows, middle_u - columns + 1 : middle_u + columns]
-    overlap_v = rows - np.abs(np.arange(1 - rows, rows))
-    overlap_u = columns - np.abs(np.arange(1 - columns, columns))
-    covariance = sums / (overlap_v[:, None] * overlap_u)
-    return covariance / covariance[rows - 1, columns - 1]
-
-
-def central_lobe(covariance: np.ndarray) -> tuple[int, int]:
-    """Half extents (v, u) [px] of the rectangle that holds the lobe around zero lag.
-
-    covariance: (2 rows - 1, 2 columns - 1) as of `autocovariance`. The rectangle that holds everything above
-    one half connected to zero lag (also of an oblique lobe) is grown, then widened to `LOBE_REACH` half widths.
-    """
-    rows, columns = (covariance.shape[0] + 1) // 2, (covariance.shape[1] + 1) // 2
-    v = u = 0
-    grown = True
-    while grown:  # the covariance is even in the lag, so one side of each pair says enough
-        grown = False
-        if u + 1 < columns and covariance[rows - 1 - v : rows + v, columns + u].max() > 0.5:
-            u, grown = u + 1, True
-        if v + 1 < rows and covariance[rows + v, columns - 1 - u : columns + u].max() > 0.5:
-            v, grown = v + 1, True
-    reach_v, reach_u = (math.ceil(LOBE_REACH * (half + 0.5)) for half in (v, u))
-    return min(reach_v, rows - 1), min(reach_u, columns - 1)
-
-
-def _half_width(profile: np.ndarray) -> float:
-    """Lag [px] at which ``profile`` (lags 0, 1, 2, ..., first value 1) first falls to one half, or NaN."""
-    below = np.flatnonzero(~(profile > 0.5))
-    if below.size == 0 or not np.isfinite(profile[below[0]]):
+    image = in_range(as_image(intensity, "intensity"))
+    if not image.mean() > 0.0:
         return math.nan
-    lag = int(below[0])
-    inner, outer = float(profile[lag - 1]), float(profile[lag])
-    if outer <= 0.0:
-        return lag - 1 + (inner - 0.5) / (inner - outer)
-    # log c is linear in the squared lag for a Gaussian lobe, and nearly so near the top of any smooth one.
-    fraction = math.log(inner / 0.5) / math.log(inner / outer)
-    return math.sqrt((lag - 1) ** 2 + fraction * (lag**2 - (lag - 1) ** 2))
+    image = _speckle(image)
+    return float(np.nanstd(image)) / float(np.nanmean(image))
+
+
+def _speckle_covariance(intensity: np.ndarray) -> np.ndarray:
+    """Autocovariance of an image's speckle, without noise and envelope."""
+    image = as_image(intensity, "intensity")
+    if not np.any(image):
+        return autocovariance(image)
+    image = middle(_speckle(in_range(image)), LARGEST_PIECE)
+    return without_noise(autocovariance(np.where(np.isnan(image), np.nanmean(image), image)))
 
 
 def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
@@ -149,10 +113,10 @@ def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
     slope of brightness would pass for a speckle) and for a constant image. Raises InputError for pixels that are
     not finite.
     """
-    covariance = autocovariance(intensity)
+    covariance = _speckle_covariance(intensity)
     rows, columns = (covariance.shape[0] + 1) // 2, (covariance.shape[1] + 1) // 2
-    u = 2.0 * _half_width(covariance[rows - 1, columns - 1 :])
-    v = 2.0 * _half_width(covariance[rows - 1 :, columns - 1])
+    u = 2.0 * half_width(covariance[rows - 1, columns - 1 :])
+    v = 2.0 * half_width(covariance[rows - 1 :, columns - 1])
     return u if u <= columns / 4 else math.nan, v if v <= rows / 4 else math.nan
 
 

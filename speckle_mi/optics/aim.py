@@ -19,7 +19,7 @@ import numpy as np
 
 from .sequence import Sequence
 from .surface import dot
-from .trace import Log, RayStatus, march, paired_rows, tube_at_end, zeros_between
+from .trace import Caustics, Log, RayStatus, march, paired_rows, tube_at_end
 
 TARGET_TOLERANCE = 1e-8
 """Distance [mm] from ray to target that counts as hit. The path length is corrected for it to first order, so what is
@@ -208,7 +208,7 @@ def _to_first_vertex(sequence: Sequence, source: np.ndarray, target: np.ndarray)
 def _fan(source: np.ndarray, target: np.ndarray, axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Directions (3, m n), m for each of n rays, m the slower index: ``axis``, straight, cones about the axis."""
     straight = target - source
-    straight = straight / np.sqrt(dot(straight, straight))
+    straight = straight / np.maximum(np.sqrt(dot(straight, straight)), 1e-300)
     polar, azimuth = (mesh.reshape(-1, 1) for mesh in np.meshgrid(angles, np.arange(8) * (np.pi / 4)))
     e1, e2 = (e[:, None] for e in _transverse(axis))
     cones = np.cos(polar) * axis[:, None] + np.sin(polar) * (np.cos(azimuth) * e1 + np.sin(azimuth) * e2)
@@ -219,12 +219,12 @@ def _follow(
     sequence: Sequence, source: np.ndarray, direction: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """World points (3, n) on the last plane, status (n,) and number of caustics (n,)."""
-    log, caustics = Log(source.shape[1]), np.zeros(source.shape[1], dtype=np.int64)
+    log, caustics = Log(source.shape[1]), Caustics(source.shape[1])
     with np.errstate(invalid="ignore", divide="ignore"):
         for step in march(sequence, _launch_state(source, direction, *_transverse(direction)), tubes=True):
             log.add(step)
-            caustics += zeros_between(*step.tube, step.length)
-    return sequence.last.surface.frame.to_world(step.state[:, 0].T).T, log.status, caustics
+            caustics.add(step)
+    return sequence.last.surface.frame.to_world(step.state[:, 0].T).T, log.status, caustics.count
 
 
 def _linear_start(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -331,11 +331,11 @@ def _continuation(chief: _ChiefRay, sequence: Sequence, source: np.ndarray, targ
 def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, direction: np.ndarray) -> AimedPaths:
     """Trace the rays found, with their tubes."""
     n = sources.shape[0]
-    log, caustics, length = Log(n), np.zeros(n, dtype=np.int64), np.zeros(n)
+    log, caustics, length = Log(n), Caustics(n), np.zeros(n)
     with np.errstate(invalid="ignore", divide="ignore"):
         for step in march(sequence, _launch_state(sources.T, direction, *_transverse(direction)), tubes=True):
             log.add(step)
-            caustics += zeros_between(*step.tube, step.length)
+            caustics.add(step)
             length += np.abs(step.length)
         axes = sequence.last.surface.frame.axes
         arrival = axes @ step.state[:, 1]
@@ -352,7 +352,7 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
             launch=(direction + lost).T,
             arrival=(arrival + lost).T,
             amplitude=1.0 / np.sqrt(np.abs(section)) + lost,
-            caustics=np.where(np.isnan(lost), -1, caustics),
+            caustics=np.where(np.isnan(lost), -1, caustics.count),
             spread=np.abs(section) / length**2 + lost,
             focal_distance=focal_distance + lost,
             margins=log.stacked_margins() + lost,

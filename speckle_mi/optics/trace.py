@@ -19,6 +19,9 @@ import numpy as np
 from .sequence import Interaction, Sequence
 from .surface import BEHIND_TOLERANCE, dot
 
+_PAST_START = 4.0
+"""Factor on a step back within which the ray's own start lies on its way forward, in whatever medium."""
+
 
 class RayStatus(IntEnum):
     """What became of a ray. After MISSED and TOTAL_INTERNAL_REFLECTION there is no ray, its results are NaN."""
@@ -266,6 +269,28 @@ def tube_at_end(step: Step) -> tuple[np.ndarray, np.ndarray]:
     section, slope = a0 + step.length * (a1 + step.length * a2), a1 + 2.0 * step.length * a2
     bend = np.sqrt(np.maximum(slope * slope - 4.0 * section * a2, 0.0))
     return section, np.where(section == 0.0, 0.0, 2.0 * np.abs(section) / (np.abs(slope) + bend))
+
+
+class Caustics:
+    """Focal lines that n rays touch, counted from step to step of ``march``.
+
+    Where a surface lies a little behind the place that a ray comes from, which ``Interaction.slack`` allows, the ray goes
+    back to it and then forward past its own start: that point is no focus.
+    """
+
+    def __init__(self, n: int) -> None:
+        self.count = np.zeros(n, dtype=np.int64)
+        self._back = np.zeros(n)
+
+    def add(self, step: Step) -> None:
+        """Account for the segment before the next interaction."""
+        a0, a1, a2 = step.tube
+        skip = _PAST_START * self._back
+        with np.errstate(invalid="ignore"):
+            self.count += zeros_between(
+                a0 + skip * (a1 + skip * a2), a1 + 2.0 * skip * a2, a2, np.maximum(step.length - skip, 0.0)
+            )
+            self._back = np.where(step.length < 0, -step.length, 0.0)
 
 
 def zeros_between(a0: np.ndarray, a1: np.ndarray, a2: np.ndarray, length: np.ndarray) -> np.ndarray:

@@ -14,14 +14,13 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.outline import Circle
-from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes
-from .routes import hole_places
+from .places import FINE, detector_places, hole_places
 from .setup import Setup
-from .way import Channel, Rim
+from .way import Channel, PhaseGradient, Rim, powers
 
 CUTS = 1.5
 """Fresnel parameter of the nearest ray below which a rim cuts into the light: no share of its wave says how much."""
@@ -32,8 +31,10 @@ SHARE = 0.3
 AFFORDABLE_NODES = 200_000
 """Nodes up to which a rim that only touches the light is diffracted at."""
 
-_DETECTOR_SIDE = 5
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
+_GRADIENT_SAFETY = 1.08
+"""Factor on the sampled phase gradient, for what lies between the samples."""
+
 _RIM_POINTS = 48
 _INSIDE_RIM = 1 - 1e-6
 _LIMITING_SHARE = 0.01
@@ -55,17 +56,6 @@ class EdgeWave:
     wave: float
 
 
-@dataclass(frozen=True)
-class PhaseGradient:
-    """Bound on the gradient of the light's phase over an opening [rad/mm]: of its length, or along x and y.
-
-    tilt: across the radius and at the centre, where from there to the rim it stays below a straight line, else None.
-    """
-
-    bound: float | tuple[float, float]
-    tilt: float | None = None
-
-
 def chosen_edges(
     setup: Setup, channel: Channel, spots: np.ndarray, first: list[Rim]
 ) -> tuple[tuple[Rim, ...], tuple[EdgeWave, ...]]:
@@ -77,8 +67,9 @@ def chosen_edges(
     unaffordable: set[int] = set()
     while True:
         chosen.sort(key=lambda rim: rim.position)
-        waves = [_edge_wave(setup, channel, rim, *_neighbours(chosen, rim), spots)
-                 for rim in channel.rims if rim not in chosen]  # fmt: skip
+        rest = [rim for rim in channel.rims if rim not in chosen]
+        waves = [_between_rims(setup, channel, rim, twin) if (twin := _twin(chosen, rim)) is not None
+                 else _edge_wave(setup, channel, rim, *_neighbours(chosen, rim), spots) for rim in rest]  # fmt: skip
         wanted = [one for one in waves if _counts(setup, one) and one.rim.number not in unaffordable]
         if not wanted:
             return tuple(chosen), tuple(waves)
@@ -89,6 +80,27 @@ def chosen_edges(
             unaffordable.add(nearest.rim.number)
 
 
+def _twin(chosen: list[Rim], rim: Rim) -> Rim | None:
+    """The chosen rim of the same glass's other face, which is one pupil with this one."""
+    return next((one for one in chosen if not rim.is_screen and one.name == rim.name
+                 and abs(one.number - rim.number) == 1), None)  # fmt: skip
+
+
+def _between_rims(setup: Setup, channel: Channel, rim: Rim, twin: Rim) -> EdgeWave:
+    """What the second rim of a glass does to light that the first has cut: along a seam of the width s = sqrt(lambda t / 2).
+
+    t is the distance of the two. Of the field in the pupil that is about a third of the root of the seam's share of the
+    area; it spreads over angles of lambda/s, of which the detector takes its part. The rim casts a geometric shadow.
+    """
+    apart = float(np.linalg.norm(rim.plane.frame.origin - twin.plane.frame.origin))
+    seam = np.sqrt(setup.assembly.beam.wavelength * apart / 2)
+    in_pupil = np.sqrt(2 * seam / min(rim.plane.outline.half_size)) / 3
+    distance = float(np.linalg.norm(channel.grid.centre - rim.plane.frame.origin))
+    spread = setup.assembly.beam.wavelength / max(seam, 1e-300) * distance
+    taken = min(1.0, 2 * max(channel.grid.half_size) / spread)
+    return EdgeWave(rim, np.inf, float(min(1.0, in_pupil * np.sqrt(taken))))
+
+
 def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
     """Those rims that are the edge of the light from the spot's middle, the most limiting first."""
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
@@ -96,7 +108,7 @@ def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
     for rim in channel.rims:
         places = _rim_points(rim, _RIM_POINTS)
         source = np.broadcast_to(spot, places.shape)
-        aimed = aim(Sequence((*_powers(channel, 0, rim.position), rim.end)), source, places)
+        aimed = aim(Sequence((*powers(channel, 0, rim.position), rim.end)), source, places)
         reached = aimed.converged
         free = np.zeros(len(places), dtype=bool)
         if np.any(reached):
@@ -106,6 +118,24 @@ def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
         shares.append(np.mean(free))
     order = np.argsort(shares, kind="stable")[::-1]
     return [channel.rims[k] for k in order if shares[k] > _LIMITING_SHARE]
+
+
+def phase_gradients(channel: Channel, spots: np.ndarray, wavelength: float) -> tuple[PhaseGradient, ...]:
+    """Bounds on the phase gradient over every opening of a channel, for light from places on the spot (n, 3).
+
+    Raises InputError, naming the opening, where no ray leads over one.
+    """
+    found = []
+    for number, rim in enumerate(channel.openings):
+        before = channel.openings[number - 1] if number > 0 else None
+        after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
+        sources = spots if before is None else hole_places(before.plane, *FINE)
+        targets = detector_places(channel.grid) if after is None else hole_places(after.plane, *FINE)
+        try:
+            found.append(phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY))
+        except InputError as error:
+            raise InputError(f"opening {rim.name!r}: {error}") from None
+    return tuple(found)
 
 
 def phase_gradient(
@@ -123,7 +153,7 @@ def phase_gradient(
     before, after: openings that these lie on, None for the spot and the detector; safety: factor on what is sampled.
     Raises InputError where no ray leads over the rim.
     """
-    samples = hole_places(rim.plane, (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), 12)
+    samples = hole_places(rim.plane, *FINE)
     leading, trailing, end = _pieces(channel, rim, before, after)
     coming = aim(Sequence((*leading, rim.end)), np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0))
     going = aim(Sequence((*trailing, end)), np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1)))
@@ -150,16 +180,8 @@ def phase_gradient(
     return PhaseGradient(safety * largest, safety * tilt if grows_evenly else None)
 
 
-def detector_places(grid: PlaneGrid, side: int = _DETECTOR_SIDE) -> np.ndarray:
-    """World points (side^2, 3) over the detector, from edge to edge."""
-    share = np.linspace(-1, 1, side)
-    half_u, half_v = grid.half_size
-    a, b = (values.ravel() for values in np.meshgrid(share, share))
-    return grid.centre + (half_u * a)[:, None] * grid.u + (half_v * b)[:, None] * grid.v
-
-
 def _counts(setup: Setup, one: EdgeWave) -> bool:
-    return one.v < CUTS or one.wave > SHARE * setup.assembly.options.tolerance
+    return one.v < CUTS or (np.isfinite(one.v) and one.wave > SHARE * setup.assembly.options.tolerance)
 
 
 def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], spots: np.ndarray) -> bool:
@@ -194,17 +216,12 @@ def _ends(channel: Channel, rim: Rim | None, spots: np.ndarray | None) -> np.nda
     return detector_places(channel.grid) if spots is None else spots
 
 
-def _powers(channel: Channel, first: int, last: int) -> tuple[Interaction, ...]:
-    """The refracting and reflecting interactions in part of a way."""
-    return tuple(i for i in channel.interactions[first:last] if i.action != "pass")
-
-
 def _pieces(channel: Channel, rim: Rim, before: Rim | None, after: Rim | None):
     """What lies between the neighbours and a rim, before and behind it, and the plane of the later neighbour."""
     first = before.position if before else 0
     last = after.position if after else len(channel.interactions)
     end = after.end if after else detector_plane(channel.grid)
-    return _powers(channel, first, rim.position), _powers(channel, rim.position, last), end
+    return powers(channel, first, rim.position), powers(channel, rim.position, last), end
 
 
 def _edge_wave(
@@ -277,11 +294,11 @@ def _share_coming(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, 
         return 1.0
     holes = hole_places(before.plane, _HOLE_SHARES, _HOLE_ANGLES)
     starts, ends = np.repeat(spots, len(holes), axis=0), np.tile(holes, (len(spots), 1))
-    aimed = aim(Sequence((*_powers(channel, 0, before.position), before.end)), starts, ends)
+    aimed = aim(Sequence((*powers(channel, 0, before.position), before.end)), starts, ends)
     good = aimed.converged
     if not np.any(good):
         return 1.0
-    system = Sequence((*_powers(channel, before.position, rim.position), rim.end))
+    system = Sequence((*powers(channel, before.position, rim.position), rim.end))
     hits = trace(system, ends[good], aimed.arrival[good]).points[-1]
     hits = hits[np.all(np.isfinite(hits), axis=1)]
     if not len(hits):
@@ -301,7 +318,7 @@ def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None)
     if after is None:
         return 1.0
     _, trailing, _ = _pieces(channel, rim, None, after)
-    behind = _powers(channel, after.position, len(channel.interactions))
+    behind = powers(channel, after.position, len(channel.interactions))
     points, holes = _rim_points(rim, 16), hole_places(after.plane, _HOLE_SHARES, _HOLE_ANGLES)
     starts, ends = np.repeat(points, len(holes), axis=0), np.tile(holes, (len(points), 1))
     aimed = aim(Sequence((*trailing, after.end)), starts, ends)

@@ -9,26 +9,35 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import trace
 from ..optics.unfold import unfold
+from ..propagation.coherent_sum import CERTAINTY
 from .setup import Setup
+from ..scattering.beam import TRUNCATION
 from ..scene.errors import SceneError
-from .edges import SHARE, all_affordable, chosen_edges, limiting_rims
-from .routes import Route, find_routes, points_on
+from .edges import SHARE, PhaseGradient, all_affordable, chosen_edges, limiting_rims, phase_gradients
+from .places import points_on
+from .relay import LEFT_OUT as RELAY_ERROR
+from .relay import NEAR_CAUSTIC, with_windows
+from .routes import Route, find_routes
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 from .stage import (
     BESIDE,
     CLEAR,
+    CUT,
     DIFFRACTED,
     FREE_SPACE,
     LEFT_OUT,
     NO_WAY,
     NOT_DIFFRACTED,
     OTHER_WAY,
+    RELAYED,
     SHADOWS,
     TRACED,
     UNFOLDED,
@@ -36,13 +45,10 @@ from .stage import (
     Stage,
 )
 from .strength import Strength, strength_of
-from .way import Channel, Rim, rims_of
+from .way import Channel, Rim, rims_of, with_slack
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
-
-NEAR_CAUSTIC = 1e-3
-"""Cross section of a ray tube, relative to free space, below which geometric optics does not apply."""
 
 _SAME_RAY = 1e-6
 """Angle [rad] up to which two rays to one place are the same."""
@@ -132,7 +138,7 @@ def _main_blocker(stopped) -> str:
 
 def _bare(setup: Setup, route: Route) -> Channel:
     """A route with plane mirrors unfolded, before anything is decided."""
-    interactions, grid = unfold(route.interactions, setup.assembly.detector)
+    interactions, grid = unfold(with_slack(route.interactions), setup.assembly.detector)
     return Channel(route, interactions, grid, (), rims_of(setup.spot.point, route.names, interactions, grid.centre), ())
 
 
@@ -145,6 +151,8 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
         stages.append(Stage(TRACED, tuple(dict.fromkeys(traced))))
     stages += decisions
     channel = replace(bare, openings=openings)
+    if openings and setup.assembly.options.method != "rays":
+        channel = replace(channel, gradients=_gradients(setup, channel))
     if openings:
         channel = replace(channel, hidden=hidden_pixels(setup, channel))
     if setup.assembly.options.diffraction and setup.assembly.options.method != "rays":
@@ -157,10 +165,21 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
     )
 
 
+def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
+    """How steep the light's phase is over every opening. Raises SceneError where no light leads over one."""
+    try:
+        return phase_gradients(channel, spot_samples(setup), setup.assembly.beam.wavelength)
+    except InputError as error:
+        raise SceneError(
+            f"way {channel.route.label}: {error}; put a smaller stop, or set diffraction to false where there is no focus"
+        ) from None
+
+
 def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Stage]:
     """A stage on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
 
-    Raises SceneError where such a shape cuts the light.
+    A shape that cuts the light of a way without openings casts its geometric shadow, and the wave of its edge is stated.
+    Raises SceneError where one cuts the light on its way to an opening.
     """
     wave = 1.0
     if channel.openings:
@@ -170,9 +189,11 @@ def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Sta
         lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
         if names and not np.any(lit):
             return []  # hidden altogether: stays dark
-        if np.all(lit):
-            v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
-            wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 1.0
+        if names and not np.all(lit):
+            wave = _wave_of_shadow(setup, channel, spots, lit)
+            return [Stage(CUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
+        v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
+        wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 0.5
     if not names:
         return []
     named = " or ".join(map(repr, dict.fromkeys(names)))
@@ -183,6 +204,22 @@ def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Sta
             "diffraction to false for its geometric shadow"
         )
     return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
+
+
+def _wave_of_shadow(setup: Setup, channel: Channel, spots: np.ndarray, lit: np.ndarray) -> float:
+    """Rms wave of the edge of shadows on the detector, relative to the light beside them.
+
+    lit: (m, rows, columns) whether pixels are lit from places on the spot (m, 3). At the distance x from the edge of a
+    shadow the wave is 1/(pi sqrt(2) v), half of the light at the most, v = x sqrt(2 / (lambda L)) for an edge half way.
+    """
+    length = float(np.linalg.norm(channel.grid.centre - spots[0]))
+    scale = channel.grid.pitch * np.sqrt(2 / (setup.assembly.beam.wavelength * length))
+    power = 0.0
+    for one in lit:
+        v = scale * np.maximum(np.maximum(distance_transform_edt(one), distance_transform_edt(~one)) - 0.5, 0.0)
+        with np.errstate(divide="ignore"):
+            power += np.mean(np.minimum(0.5, 1 / (np.pi * np.sqrt(2) * v)) ** 2)
+    return float(min(1.0, CERTAINTY * np.sqrt(power / max(np.mean(lit) * len(lit), 1e-300))))
 
 
 def _unfolded(route: Route) -> list[Stage]:
@@ -214,12 +251,16 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
         names = tuple(rim.name for rim in chosen)
         return chosen, [Stage(SHADOWS, names, reason="as rays are not diffracted")]
     stages = [Stage(DIFFRACTED, tuple(rim.name for rim in chosen))] if chosen else []
+    relayed = with_windows(setup, channel, chosen, spots)
+    chosen = relayed.openings
+    if relayed.windows:
+        stages.append(Stage(RELAYED, relayed.windows, predicted_error=CERTAINTY * RELAY_ERROR * len(relayed.windows)))
     left = max(waves, key=lambda one: one.wave, default=None)
     if left is not None and left.wave > 0:
-        total = float(np.sqrt(sum(one.wave**2 for one in waves)))
+        total = min(1.0, CERTAINTY * float(np.sqrt(sum(one.wave**2 for one in waves))))
         reason = (
             f"the nearest edge, of {left.rim.name}, is clear of the light "
-            f"(the edges' waves are about {total:.1%} of the field)"
+            f"(the edges' waves are at most about {total:.1%} of the field)"
         )
         stages.append(Stage(NOT_DIFFRACTED if not chosen else CLEAR, (left.rim.name,), reason=reason, predicted_error=total))
     elif not chosen:
@@ -253,10 +294,16 @@ def spot_samples(setup: Setup) -> np.ndarray:
             np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
             axis=0,
         )
-    size = setup.assembly.beam.cutoff if np.isfinite(setup.assembly.beam.radius) else np.inf
-    size = min(size, 0.5 * float(np.ptp(target.surface.facets.bounds)))
-    spot = setup.spot.point
-    return np.array([spot, *(spot + size * sign * setup.frame.axes[:, k] for k in (0, 1) for sign in (-1, 1))])
+    beam, spot, normal = setup.assembly.beam, setup.spot.point, setup.spot.normal
+    largest = 0.5 * float(np.ptp(target.surface.facets.bounds))
+    # An ellipse, longest where the beam runs along the surface.
+    along = beam.axis - (beam.axis @ normal) * normal
+    first = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else setup.frame.axes[:, 0]
+    second = np.cross(normal, first)
+    across = min(TRUNCATION * beam.radius_at(spot), largest)
+    sizes = (min(across / max(abs(float(normal @ beam.axis)), 1e-3), largest), across)
+    ends = (size * sign * axis for size, axis in zip(sizes, (first, second), strict=True) for sign in (-1, 1))
+    return np.array([spot, *(spot + end for end in ends)])
 
 
 def _detector_samples(grid: PlaneGrid) -> np.ndarray:

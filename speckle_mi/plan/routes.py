@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..optics.sequence import Interaction
-from ..optics.surface import Surface
 from .meeting import AIR, Meetings
+from .places import hole_places
 from .search import Chain, Search, Start, Step
 from .setup import Setup
 
@@ -26,7 +26,6 @@ _HOLE_SHARES = (0.0, 0.5, 0.95)
 
 _HOLE_ANGLES = 6
 
-_ELEMENT_RAYS = 16
 
 
 @dataclass(frozen=True)
@@ -120,15 +119,6 @@ class _Paths:
         return self._searches[key]
 
 
-def hole_places(face: Surface, shares: tuple[float, ...], angles: int) -> np.ndarray:
-    """World points (n, 3) on an opening: its middle, and rings at shares of the way to the rim."""
-    angle = 2 * np.pi * np.arange(angles) / angles
-    rim = np.array(face.outline.edge(angle)) - np.array(face.outline.centre)[:, None]
-    local = [np.zeros((2, 1)) if share == 0 else share * rim for share in shares]
-    x, y = np.concatenate(local, axis=1) + np.array(face.outline.centre)[:, None]
-    return face.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
-
-
 def _route(setup: Setup, path: tuple[Chain, ...]) -> Route:
     """The route of a path, its openings among the interactions."""
     elements = setup.assembly.elements
@@ -184,12 +174,3 @@ def _gaps_of_openings(route: Route) -> tuple[int, ...]:
 def _cut(route: Route) -> bool:
     """Whether an opening of the route cuts through a face beside it, or touches it."""
     return any(interaction.slack > 0 for interaction in route.interactions)
-
-
-def points_on(face: Surface) -> np.ndarray:
-    """World points (n, 3) spread over a face inside its rim, or over half of a sphere."""
-    number = np.arange(_ELEMENT_RAYS**2) + 0.5
-    radius, angle = np.sqrt(number / _ELEMENT_RAYS**2), np.pi * (1 + 5**0.5) * number
-    half_x, half_y = face.outline.half_size if face.outline else (1 / face.curvature,) * 2
-    x, y = half_x * radius * np.cos(angle), half_y * radius * np.sin(angle)
-    return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))

@@ -15,12 +15,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..geometry.frames import Frame
-from ..geometry.rotation import vectors_across
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings
+from .places import axes_along, on_face, on_pixels, on_plane
 from .unfolding import launch_over_planes
 
 MAX_INTERACTIONS = 32
@@ -262,9 +262,9 @@ class Search:
         """Places (k, 3) on every face, opening and body, and on the detector."""
         side = np.linspace(-0.97, 0.97, _ACROSS)
         share = np.stack([part.ravel() for part in np.meshgrid(side, side)], axis=1)
-        places = [_on_grid(self._grid, share)]
+        places = [on_pixels(self._grid, share)]
         for element in self._meetings.elements:
-            places += [_on_face(face, element.closed, share) for face in element.faces]
+            places += [on_face(face, element.closed, share) for face in element.faces]
             places.append(element.body.bounds.mean(axis=0, keepdims=True))
         return np.concatenate(places)
 
@@ -279,11 +279,11 @@ class Search:
         arrived = {(end, side) for steps, end, side in self._arrived if steps == sequence.steps}
         if sequence.inside == AIR:
             if not any(end is None for end, _ in arrived):
-                self._aim_at(sequence, detector_plane(self._grid).surface, _on_grid(self._grid, _SPREAD), None)
+                self._aim_at(sequence, detector_plane(self._grid).surface, on_pixels(self._grid, _SPREAD), None)
             for number in dict.fromkeys(end for end, _ in ends if end is not None):
                 if not any(end == number for end, _ in arrived) and (number, 0) != sequence.left:
                     face = self._meetings.elements[number].faces[0]
-                    self._aim_at(sequence, face, _on_face(face, False, _SPREAD), None)
+                    self._aim_at(sequence, face, on_face(face, False, _SPREAD), None)
             for number, element in enumerate(self._meetings.elements):
                 for place, face in enumerate(element.faces if element.kind in ("mirror", "glass") else ()):
                     if (number, place) not in sequence.met and (number, place) != sequence.left:
@@ -292,17 +292,17 @@ class Search:
     def _plane_at(self, sequence: _Sequence, face: Surface, closed: bool) -> tuple[Surface, np.ndarray]:
         """A plane through a face, and places on it that are aimed at."""
         if face.is_plane:
-            return face, _on_face(face, False, _SPREAD)
+            return face, on_face(face, False, _SPREAD)
         if not closed:
             sag = float(face.sag(np.array((0.7 * face.outline.reach) ** 2)))
             plane = Surface(Frame(face.frame.origin + sag * face.frame.axes[:, 2], face.frame.axes))
-            return plane, _on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), _SPREAD, face.outline.centre)
+            return plane, on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), _SPREAD, face.outline.centre)
         radius = 1 / abs(face.curvature)
         centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
         last = sequence.interactions[-1].place if sequence.interactions else sequence.starts[0][0]
         axis = (centre - last) / max(np.linalg.norm(centre - last), 1e-300)
-        plane = Surface(Frame(centre, _axes_along(axis)))
-        return plane, _on_plane(plane.frame, 0.9 * np.array([radius, radius]), _SPREAD, (0.0, 0.0))
+        plane = Surface(Frame(centre, axes_along(axis)))
+        return plane, on_plane(plane.frame, 0.9 * np.array([radius, radius]), _SPREAD, (0.0, 0.0))
 
     def _aim_at(self, sequence: _Sequence, plane: Surface, targets: np.ndarray, face: tuple[int, int] | None) -> None:
         """Follows the rays over a sequence that are aimed at targets (k, 3) in a plane, closing in on a narrow way."""
@@ -380,37 +380,3 @@ def _with_places(interactions: tuple[Interaction, ...], starts, launches) -> tup
             interaction = replace(interaction, near=near)
         placed.append(interaction)
     return tuple(placed)
-
-
-def _on_grid(grid, share: np.ndarray) -> np.ndarray:
-    """Places on the detector at shares (k, 2) of its half sizes, to the middles of the outermost pixels."""
-    half = 0.5 * grid.pitch * (np.array(grid.shape[::-1]) - 1)
-    return grid.centre + (share[:, :1] * half[0]) * grid.u + (share[:, 1:] * half[1]) * grid.v
-
-
-def _on_face(face: Surface, closed: bool, share: np.ndarray) -> np.ndarray:
-    """Places on a face inside its rim, or all over a closed one."""
-    if closed:
-        count = len(share)
-        number = np.arange(2 * count) + 0.5
-        z = 1 - number / count
-        angle = np.pi * (1 + 5**0.5) * number
-        ring = np.sqrt(1 - z * z)
-        centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
-        return centre + np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1) / abs(face.curvature)
-    # A square of shares on a round face: its corners are drawn in to the rim.
-    disc = share * (np.maximum(np.abs(share).max(axis=1), 1e-300) / np.maximum(np.hypot(*share.T), 1e-300))[:, None]
-    disc[np.all(share == 0, axis=1)] = 0
-    half = np.array(face.outline.half_size)
-    x, y = (np.array(face.outline.centre)[:, None] + (half * (disc if face.outline.is_round else share)).T)
-    return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
-
-
-def _on_plane(frame: Frame, half: np.ndarray, share: np.ndarray, middle) -> np.ndarray:
-    local = np.array(middle) + half * share
-    return frame.to_world(np.column_stack([local, np.zeros(len(share))]))
-
-
-def _axes_along(axis: np.ndarray) -> np.ndarray:
-    """(3, 3) axes with z along a unit vector."""
-    return np.column_stack([*vectors_across(axis), axis])

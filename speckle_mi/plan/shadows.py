@@ -8,7 +8,7 @@ of the patches of the spot that they lie in.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import binary_dilation
@@ -16,9 +16,9 @@ from scipy.ndimage import binary_dilation
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
-from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix
+from .places import FINE, detector_places, hole_places
 from .setup import Setup
 from .tracer import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
@@ -42,23 +42,10 @@ _COARSE = 96
 _SOURCES_AT_ONCE = 32
 """Sources whose rays are aimed together."""
 
-_RING_SAMPLES, _ANGLE_SAMPLES = 5, 12
+_ANGLE_SAMPLES = 12
 
-
-def opening_samples(plane: Surface) -> np.ndarray:
-    """World points (n, 3) spread over an opening: its centre, and rings out to the rim."""
-    share = np.arange(1, _RING_SAMPLES + 1) / _RING_SAMPLES
-    angle = 2 * np.pi * np.arange(_ANGLE_SAMPLES) / _ANGLE_SAMPLES
-    x, y = (np.append(0.0, np.outer(share, edge)) for edge in plane.outline.edge(angle))
-    return plane.frame.to_world(np.stack([x, y, np.zeros_like(x)], axis=1))
-
-
-def detector_samples(grid: PlaneGrid) -> np.ndarray:
-    """World points (25, 3) over the detector, edges included."""
-    side = np.linspace(-1, 1, 5)
-    return _places(
-        grid, side * grid.shape[0] / max(grid.shape[0] - 1, 1), side * grid.shape[1] / max(grid.shape[1] - 1, 1)
-    )
+_ALMOST_RIM = 0.97
+"""Part of the way to an opening's rim from where the view of the detector must be free."""
 
 
 def extremes(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -172,7 +159,7 @@ def clearance_of_shapes(
 
 def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarray, np.ndarray]:
     """The whole way, and starts and ends (n, 3) of rays from all sources to places all over the detector."""
-    targets = detector_samples(channel.grid)
+    targets = detector_places(channel.grid)
     return _Part.whole(channel), np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
 
 
@@ -221,7 +208,8 @@ class _Part:
         ]
         places = (start.number + 1 if start else 0, *(i + 1 for i in inner), end.number + 1 if end else count + 1)
         plane = end.end if end else detector_plane(channel.grid)
-        return cls(channel, places, tuple(channel.interactions[i] for i in inner), plane)
+        own = {rim.number for rim in (start, end) if rim}
+        return cls(channel, places, tuple(_without_rim(channel.interactions[i], i in own) for i in inner), plane)
 
     def rays(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points (p, n, 3) of the rays from sources to targets (n, 3), ends included, and clearances (r, n) of rims."""
@@ -305,6 +293,11 @@ class _Part:
         return folded
 
 
+def _without_rim(interaction: Interaction, is_own: bool) -> Interaction:
+    """An interaction without an outline where that is the opening at which the part begins or ends."""
+    return replace(interaction, surface=replace(interaction.surface, outline=None)) if is_own else interaction
+
+
 def _interpolated(rows: np.ndarray, values: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """From nodes (n, n) to places (rows, columns)."""
     return rows @ values @ columns.T
@@ -329,7 +322,7 @@ def lit_nodes(channel: Channel, rim: Rim, sources: np.ndarray, points: np.ndarra
 
 def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
     """Whether a rim that is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
-    outermost, samples = extremes(sources, axes), opening_samples(rim.plane)
+    outermost, samples = extremes(sources, axes), hole_places(rim.plane, *FINE)
     starts, over = np.repeat(outermost, len(samples), axis=0), np.tile(samples, (len(outermost), 1))
     return not np.all(_clearance_over(channel, rim, starts, over) > _SAFE_MARGIN)
 
@@ -356,7 +349,7 @@ def shapes_before(setup: Setup, channel: Channel, spots: np.ndarray) -> list[str
     """Names of shapes that cut the light on its way from samples of the spot (n, 3) to the last opening."""
     starts, rim, names = spots, None, []
     for opening in channel.openings:
-        part, ends = _Part.between(channel, rim, opening), opening_samples(opening.plane)
+        part, ends = _Part.between(channel, rim, opening), hole_places(opening.plane, *FINE)
         points, _ = part.rays(np.repeat(starts, len(ends), axis=0), np.tile(ends, (len(starts), 1)))
         if not np.all(part.unblocked(setup, points)):
             names += part.shapes_beside(setup, points)
@@ -369,8 +362,7 @@ def hidden_pixels(setup: Setup, channel: Channel) -> np.ndarray | None:
     part, grid = _Part.between(channel, channel.openings[-1], None), channel.grid
     if not part.interactions and not setup.assembly.elements:
         return None
-    outer = opening_samples(channel.openings[-1].plane)
-    outer = np.concatenate([outer[-1:], outer[:-1][-_ANGLE_SAMPLES:]])
+    outer = hole_places(channel.openings[-1].plane, (0.0, _ALMOST_RIM), _ANGLE_SAMPLES)
     shape = tuple(min(_COARSE, count) for count in grid.shape)
     hidden = ~np.all(list(part.lit(setup, outer, grid, shape, rims=True)), axis=0)
     if not np.any(hidden):

@@ -15,6 +15,8 @@ NOT_DIFFRACTED = "not diffracted"
 CLEAR = "clear"
 SHADOWS = "geometric shadows"
 LEFT_OUT = "left out"
+RELAYED = "relayed"
+CUT = "cut"
 OTHER_WAY = "other way"
 NO_WAY = "no way"
 BESIDE = "beside the detector"
@@ -54,7 +56,8 @@ class Stage:
     def to_json(self) -> dict:
         """What there is to say, as JSON can hold it."""
         content = asdict(self) | {"how": asdict(self.how) if self.how else None}
-        return {name: _listed(value) for name, value in content.items() if value not in (None, "", ())}
+        given = {name: value for name, value in content.items() if not (value is None or value == "" or value == ())}
+        return {name: _listed(value) for name, value in given.items()}
 
     @classmethod
     def from_json(cls, content: dict) -> Stage:
@@ -99,6 +102,13 @@ def in_words(stage: Stage) -> str:
             return (
                 f"left out: the wave of the edge of {quoted}, which stands beside the light "
                 f"(at most {stage.predicted_error:.1%} of the field)"
+            )
+        case "relayed":
+            return f"relayed: summed on a window at {named} first, as an image of an opening lies near the detector"
+        case "cut":
+            return (
+                f"{quoted} cuts a part of the light: geometric shadow; "
+                f"left out: the wave of its edge (about {stage.predicted_error:.1%} of the field)"
             )
         case "other way":
             return f"left out: {stage.way}, light that edges alone throw there (about {stage.predicted_error:.1e} of the field)"

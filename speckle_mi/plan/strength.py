@@ -11,8 +11,8 @@ from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import trace
-from .edges import detector_places
-from .routes import Route, hole_places
+from .places import detector_places, hole_places
+from .routes import Route
 from .setup import Setup
 
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 0.98), 8

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from .stage import Stage
 _SAME_PLACE = 1e-6
 """Distance [mm] up to which two places are one: light has no direction between them."""
 
+_ROOM = 1.5
+"""Factor on how far a face bends beyond its rim, for rays aslant."""
+
 
 @dataclass(frozen=True)
 class Rim:
@@ -25,7 +28,8 @@ class Rim:
 
     name: element; plane: the plane of the rim with its outline; number: of the interaction whose outline it is;
     position: number of interactions before the plane; index: of the medium there; is_screen: whether it is an aperture
-    or a mirror's edge rather than a lens's; normal: (3,) of the plane, on the side that light goes on to.
+    or a mirror's edge rather than a lens's; normal: (3,) of the plane, on the side that light goes on to;
+    slack: how far behind the curved surface beside it the plane may lie for rays outside the rim [mm].
     """
 
     name: str
@@ -35,11 +39,23 @@ class Rim:
     index: float
     is_screen: bool
     normal: np.ndarray
+    slack: float = 0.0
 
     @property
     def end(self) -> Interaction:
         """The rim's plane, unbounded, as the end of a sequence."""
-        return Interaction.through(Surface(self.plane.frame), self.index)
+        return replace(Interaction.through(Surface(self.plane.frame), self.index), slack=self.slack)
+
+
+@dataclass(frozen=True)
+class PhaseGradient:
+    """Bound on the gradient of the light's phase over an opening [rad/mm]: of its length, or along x and y.
+
+    tilt: across the radius and at the centre, where from there to the rim it stays below a straight line, else None.
+    """
+
+    bound: float | tuple[float, float]
+    tilt: float | None = None
 
 
 @dataclass(frozen=True)
@@ -48,7 +64,7 @@ class Channel:
 
     interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
     diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
-    stages: what is done for it; left_out: what the waves of edges that are not diffracted at amount to, relative to the
+    stages: what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are not diffracted at amount to, relative to the
     field; hidden: pixels (rows, columns) that something hides from a part of the last opening.
     """
 
@@ -58,6 +74,7 @@ class Channel:
     openings: tuple[Rim, ...]
     rims: tuple[Rim, ...]
     stages: tuple[Stage, ...]
+    gradients: tuple[PhaseGradient, ...] = ()
     left_out: float = 0.0
     hidden: np.ndarray | None = None
 
@@ -76,6 +93,27 @@ class Channel:
         first = self.openings[number - 1].position if number > 0 else 0
         last = self.openings[number].position if number < len(self.openings) else len(self.interactions)
         return tuple(i for i in self.interactions[first:last] if i.action != "pass")
+
+
+def powers(channel: Channel, first: int, last: int) -> tuple[Interaction, ...]:
+    """The refracting and reflecting interactions in part of a way."""
+    return tuple(i for i in channel.interactions[first:last] if i.action != "pass")
+
+
+def with_slack(interactions: tuple[Interaction, ...]) -> tuple[Interaction, ...]:
+    """Interactions whose curved faces may lie behind the planes of their own rims, for rays outside these."""
+    return tuple(
+        replace(one, slack=max(one.slack, _beyond_rim(one.surface))) if one.action != "pass" else one
+        for one in interactions
+    )
+
+
+def _beyond_rim(surface: Surface) -> float:
+    """How far [mm] a curved face goes on to bend around its rim, at the corners of a square around it."""
+    if surface.is_plane or surface.outline is None:
+        return 0.0
+    squared = surface.outline.reach**2
+    return _ROOM * float(abs(surface.sag(np.array(2 * squared)) - surface.sag(np.array(squared))))
 
 
 def rims_of(
@@ -124,5 +162,5 @@ def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -
         sag = 0.0  # light never comes to the plane of a convex mirror's rim: take the one through its vertex
     plane = Surface(Frame(surface.frame.origin + sag * axis, surface.frame.axes), outline=outline)
     if bulges and interaction.action == "refract":
-        return Rim(name, plane, number, number + 1, interaction.index_after, False, normal)
-    return Rim(name, plane, number, number, interaction.index_before, False, normal)
+        return Rim(name, plane, number, number + 1, interaction.index_after, False, normal, _beyond_rim(surface))
+    return Rim(name, plane, number, number, interaction.index_before, False, normal, _beyond_rim(surface))

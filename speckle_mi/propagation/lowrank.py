@@ -163,21 +163,27 @@ def expand_in_parts(
     tolerance: float,
     largest_table: int,
     most_parts: int,
+    most_looked_at: float = np.inf,
 ) -> list[SpotPart] | None:
     """Expansions of all sources, or of halves, quarters, ... of too large a spot; None beyond ``most_parts``.
 
-    box: around all sources.
+    box: around all sources; most_looked_at: sources, each counted as often as it is, from which on the search has cost
+    more than it can save.
     """
     whole = expand(path, sources, weights, target, box, wavelength, tolerance, largest_table)
     if whole is not None:
         return [SpotPart(whole, slice(None), len(sources))]
     if len(sources) < SMALLEST_PART:
         return None
+    looked_at = 2.0 * len(sources)
+    if looked_at > most_looked_at:
+        return None
     waiting, parts = _halves(np.arange(len(sources)), sources, box), []
     while waiting:
-        if len(waiting) + len(parts) > most_parts:
-            return None
         members = waiting.pop()
+        looked_at += 2.0 * len(members)
+        if len(waiting) + len(parts) >= most_parts or looked_at > most_looked_at:
+            return None
         some = sources[members]
         box = SourceBox.around(some, target.u)
         expansion = expand(path, some, weights[members], target, box, wavelength, tolerance, largest_table)

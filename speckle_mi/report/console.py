@@ -31,6 +31,9 @@ def print_report(summary: dict) -> None:
     console.print(f"numerical error of the field {_numerical_error(summary['numerical_error'])}; "
                   f"{summary['seconds_per_frame'] * 1e3:.3g} ms a frame (median); "
                   f"{summary['frames_without_shift']} of {summary['frames']} frames without a significant shift")
+    for dof, fitted in summary["fits"].items():
+        for note in dict.fromkeys(fitted[axis].note for axis in ("u", "v") if fitted[axis].note):
+            console.print(f"{dof}: {note}", markup=False)
     for warning, count in summary["warnings"].items():
         console.print(f"warning: {warning} ({count} frames)")
     for dof, note in ((summary["paper"] or {}).get("notes") or {}).items():

@@ -96,12 +96,13 @@ def _fit_all(assembly: Assembly, settings: SweepSettings, result: SweepResult) -
     for dof in settings.dofs:
         column = DEGREES_OF_FREEDOM.index(dof)
         ncc = result.values(dof, "ncc", settings)
+        sigma = np.hypot(*(result.values(dof, f"sigma_{axis}_um", settings) for axis in "uv"))
         fits[dof] = {}
         for axis in AXES:
             theory = None if expected[axis] is None else float(expected[axis][column])
             shifts = result.values(dof, _column(axis), settings)
-            weights = ncc if axis in PATTERN_AXES else None
-            fits[dof][axis] = fit_sensitivity(settings.displacements, shifts, weights, theory, unit_of(dof))
+            known = (ncc, sigma) if axis in PATTERN_AXES else (None, None)
+            fits[dof][axis] = fit_sensitivity(settings.displacements, shifts, known[0], theory, unit_of(dof), known[1])
     return fits
 
 

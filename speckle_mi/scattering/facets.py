@@ -113,7 +113,7 @@ class Facets:
         return middle, np.linalg.norm(half, axis=1) + 2 * self._slack
 
     def _pairs_that_may_meet(self, starts: np.ndarray, axis: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-        """Pairs of ray and facet (p,), some rays at a time, where the ray passes through the sphere around the facet."""
+        """Pairs of ray and facet (p,), some rays at a time, where the ray passes the sphere around the facet."""
         middle, reach = self._circles
         across = vectors_across(axis)
         places, seen = (middle @ across.T).T, (starts @ across.T).T
@@ -129,7 +129,7 @@ class Facets:
             yield rays + first, near[facets]
 
     def _distance_to(self, facets: np.ndarray, starts: np.ndarray, axis: np.ndarray) -> np.ndarray:
-        """Length (p,) along local rays from starts (p, 3) to facets of given numbers (p,), inf where they pass it by."""
+        """Length (p,) along local rays from starts (p, 3) to facets of given numbers (p,), inf where they miss."""
         origin, normal = self.origin[facets], self.normal[facets]
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = normal @ axis

@@ -54,9 +54,9 @@ def footprint_bounds(facets: Facets, beam: Beam, frame: Frame) -> tuple[np.ndarr
 def mean_plane_normal(facets: Facets, beam: Beam, frame: Frame, spot: np.ndarray) -> np.ndarray | None:
     """Unit normal (3,) of the plane that fits the lit surface best with its frame at ``frame``, on the laser's side.
 
-    Every place counts by the light's intensity on it; spot: (3,) where the beam's axis meets the surface [mm]. It is the
-    plane that a pattern's displacement depends on: the pattern is where the change of path has least variance over what
-    scatters. None where the beam has no width, or meets too little of the surface to tell.
+    Every place counts by the light's intensity on it; spot: (3,) where the beam's axis meets the surface [mm]. It is
+    the plane that a pattern's displacement depends on: the pattern is where the change of path has least variance over
+    what scatters. None where the beam has no width, or meets too little of the surface to tell.
     """
     if np.isinf(beam.radius):
         return None

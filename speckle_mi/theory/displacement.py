@@ -82,7 +82,8 @@ def _plane_displacement(spot, origin, axes, source_direction, wavefront_radius, 
     across = vectors_across(sight)
     foreshortened = np.linalg.inv(across @ plane)
     return system_displacement(
-        spot, origin, axes, source_direction, wavefront_radius, sight, across, foreshortened, distance * foreshortened, normal
+        spot, origin, axes, source_direction, wavefront_radius, sight, across,
+        foreshortened, distance * foreshortened, normal,
     )
 
 
@@ -108,8 +109,8 @@ def system_displacement(
 
         s.[V_PD A + d/dP((grad psi + grad V).a)] = 0.
 
-    Rays tell the second derivatives of V. The end of a ray moves by M per shift of its beginning across l, and by B, the
-    lever, per tilt dl of it: dD = M dP + B dl. At fixed P that is V_PD dD = -dl = -B^-1 dD, at fixed D it is
+    Rays tell the second derivatives of V. The end of a ray moves by M per shift of its beginning across l, and by B,
+    the lever, per tilt dl of it: dD = M dP + B dl. At fixed P that is V_PD dD = -dl = -B^-1 dD, at fixed D it is
     V_PP dP = -dl = B^-1 M dP. With Q_S = (1 - l_S l_S^T)/L_S the Hessian of psi, and dl standing for B^-1 (A - M a),
 
         alpha = M (a across l) + B dl,    t.dl = t.[Q_S a + Omega x (l_S + l)],
@@ -119,8 +120,8 @@ def system_displacement(
     the tangential and the sagittal direction. In free space M = 1, B = L_O, see `first_order_displacement`. Ref. [1].
 
     spot ... wavefront_radius, normal: as in `first_order_displacement`. line_of_sight: (3,) unit vector l of the chief
-    ray at the spot. across: (2, 3) unit vectors at right angles to it and to each other. magnification: (2, 2) M [mm/mm]
-    and lever: (2, 2) B [mm/rad], to (u, v) on the detector from components along ``across``.
+    ray at the spot. across: (2, 3) unit vectors at right angles to it and to each other. magnification: (2, 2) M
+    [mm/mm] and lever: (2, 2) B [mm/rad], to (u, v) on the detector from components along ``across``.
 
     Limits: those of `imaging_displacement`. Returns (2, 6) [mm/mm], [mm/rad]. Raises ValueError as
     `first_order_displacement`, or for a matrix that is not (2, 2) and finite.

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...errors import InputError
 from ...field.simulation import Simulation
 from ...geometry.pose import Pose
 from ...machine.run_times import Timing, duration
@@ -41,7 +42,7 @@ def row_of(
         return replace(blank, note=note)
     try:
         return _measured(subject, setting, blank, exact, time_left)
-    except ValueError as error:
+    except InputError as error:
         return does_not_apply(blank, error)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...geometry.frames import Frame
 from ...geometry.rotation import rotation_matrix
-from ...scene.assembly import BYTES_PER_PIXEL
+from ...scene.read import BYTES_PER_PIXEL
 from .case import Case, compared, same_field, within
 from .scenes import Bench, against_exact_sum, aperture, lens
 

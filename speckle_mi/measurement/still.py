@@ -1,0 +1,122 @@
+"""What stands still in two images of a moving pattern, as the correlation surface shows it.
+
+A camera's fixed pattern (offsets and gains of its pixels, dust, reflections) correlates at zero shift whatever the
+speckle does: as a spike of one pixel where it is as fine as the pixels, as a second peak where it is coarser.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from .peak import Peak, Texture, height_over_neighbours, peak_at
+
+STILL = 1
+"""Distance from zero shift at which a peak is one of what stands still [px]."""
+
+SURE = 1.3
+"""Significance beyond which a second peak, away from zero, is the moving pattern's and no chance."""
+
+ALIKE = 0.9
+"""Correlation at zero shift above which the whole picture stands still."""
+
+SPIKE = 0.02
+"""Height of the correlation at zero shift over what its neighbours say, relative to the peak and beyond what the
+pattern's own lobe has, from which on it is a fixed pattern's."""
+
+SPIKE_SIGMAS = 5.0
+"""The same in standard deviations of the white noise in a correlation."""
+
+NARROW, OWN = 0.4, 0.68
+"""Largest correlation next to a peak, relative to it, for a spike; and the least that the pattern itself has there."""
+
+FINE = 0.3
+"""The same for a pattern that is finer than the pixels."""
+
+
+def _distance(place: tuple[int, int], origin: tuple[int, int]) -> int:
+    return max(abs(i - o) for i, o in zip(place, origin))
+
+
+def moving_peak(surface: np.ndarray, peak: Peak, origin: tuple[int, int], texture: Texture) -> tuple[Peak, str]:
+    """The peak of what moves where another tells of what stands still, and a note that says so."""
+    if peak.other is None or texture.repeats:  # a pattern that repeats itself has several peaks by itself
+        return peak, ""
+    note = "besides the pattern that moved, something stands still in both images (a fixed pattern of the camera, dust)"
+    if _distance(peak.other, origin) <= STILL:
+        return Peak(peak.place, peak.offset, peak.ncc, peak.significance), note
+    if _distance(peak.place, origin) <= STILL and peak.ncc < ALIKE and peak.other_significance > SURE:
+        moving = peak_at(surface, peak.other)
+        return Peak(moving.place, moving.offset, moving.ncc, peak.other_significance), note
+    return peak, ""
+
+
+def _beside(surface: np.ndarray, place: tuple[int, int]) -> float | None:
+    """Largest correlation at the four pixels next to a place, None at the edge."""
+    values = []
+    for axis, n in enumerate(surface.shape):
+        if n > 1:
+            if not 1 <= place[axis] < n - 1:
+                return None
+            for side in (-1, 1):
+                values.append(surface[tuple(i + side * (a == axis) for a, i in enumerate(place))])
+    return float(max(values)) if values else None
+
+
+def finer_than_a_pixel(surface: np.ndarray, peak: Peak) -> bool:
+    """Whether the correlation falls off within a pixel of its peak: nothing says where between the pixels it is."""
+    beside = _beside(surface, peak.place)
+    return beside is not None and beside < FINE * float(surface[peak.place])
+
+
+def of_the_camera(
+    surface: np.ndarray, peak: Peak, origin: tuple[int, int], texture: Texture, pixels: int
+) -> str | None:
+    """Why a peak is the camera's and not the pattern's, None if it is the pattern's."""
+    if peak.ncc == 1.0:  # a copy of the reference, noise and all
+        return None
+    remedy = "take a picture without light and give it as --dark"
+    if _distance(peak.place, origin) <= STILL and texture.next > OWN:
+        beside = _beside(surface, peak.place)
+        if beside is not None and beside < NARROW * float(surface[peak.place]):
+            return (
+                "the correlation at zero shift is narrower than the pattern is: what stands still is the camera's"
+                f" fixed pattern, not the speckle; {remedy}"
+            )
+    near = all(abs(i - o) <= reach for i, o, reach in zip(peak.place, origin, texture.lobe))
+    if near and (height := _spike(surface, origin, peak.ncc, texture.top, pixels, texture)) > 0.0:
+        return (
+            f"{100 * height:.0f} % of the correlation stand still, a fixed pattern of the camera that pulls this"
+            f" shift toward zero; {remedy}"
+        )
+    return None
+
+
+def _spike(
+    surface: np.ndarray, origin: tuple[int, int], ncc: float, own: float, pixels: int, texture: Texture
+) -> float:
+    """Share of the correlation ``ncc`` that is a spike at zero shift, 0 if there is none to be sure of.
+
+    own: height over its neighbours that the pattern's lobe may have there. pixels: that a correlation rests on.
+    """
+    if texture.next <= OWN or ncc <= 0.0:  # a pattern as fine as the pixels has spikes of its own
+        return 0.0
+    height = height_over_neighbours(surface, origin) - ncc * own
+    least = max(SPIKE * ncc, SPIKE_SIGMAS / math.sqrt(pixels) * (1.0 - min(ncc, 1.0)))
+    return height / ncc if height > least else 0.0
+
+
+def still_note(
+    surface: np.ndarray,
+    origin: tuple[int, int],
+    displacement: tuple[int, int],
+    ncc: float,
+    pixels: int,
+    texture: Texture,
+) -> str:
+    """A note on what stands still beside a pattern that moved by ``displacement`` (v, u) [px], empty if none is."""
+    far = any(abs(d) > reach for d, reach in zip(displacement, texture.lobe))
+    if far and (height := _spike(surface, origin, ncc, 0.0, pixels, texture)) > 0.0:
+        return f"a fixed pattern of the camera adds {100 * height:.0f} % of the correlation at zero shift"
+    return ""

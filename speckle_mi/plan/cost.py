@@ -1,0 +1,86 @@
+"""What a frame will cost, known before it is begun: seconds and memory, from the nodes and legs of its plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError
+from ..machine.memory import excess
+from ..machine.run_times import duration
+from ..propagation.costs import RECORDED
+from ..propagation.opening_quadrature import estimated_nodes
+from ..scattering.rough_surface import RoughSurface
+from ..scene.assembly import Assembly
+from .way import Channel
+
+LONG = 600.0
+"""Seconds of a frame from which on it is only begun when that is asked for."""
+
+WORTH_SAYING = 5.0
+"""Seconds of a frame from which on the user is told beforehand."""
+
+NODE_BYTES = 160
+"""Memory of a node of an opening: its place, area and field, and what a sum over it takes beside."""
+
+_EXPANSION_RANK = 20
+"""Terms that a NUFFT of many sources is taken to need."""
+
+_EXPANSION_SECONDS = 0.3
+"""Finding an expansion, or a traced path's."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Of one frame: seconds and peak memory [bytes], estimated."""
+
+    seconds: float
+    memory: float
+
+    def __str__(self) -> str:
+        """In words."""
+        return f"about {duration(self.seconds)} and {self.memory / 1e9:.2g} GB a frame"
+
+
+def cost_of(assembly: Assembly, channels: tuple[Channel, ...]) -> Cost:
+    """The cost of a frame over all ways of a plan."""
+    scatterers, pixels = expected_scatterers(assembly), assembly.detector.size
+    seconds, memory = 0.0, 40.0 * pixels + 80.0 * scatterers
+    for channel in channels:
+        counts = [scatterers, *(estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt)
+                                for rim, gradient in zip(channel.openings, channel.gradients, strict=True)), pixels]  # fmt: skip
+        for number, (sources, points) in enumerate(zip(counts[:-1], counts[1:], strict=True)):
+            seconds += _leg_seconds(sources, points, bool(channel.leg(number)))
+        memory += NODE_BYTES * sum(counts[1:-1])
+    return Cost(assembly.sub_pixels**2 * seconds, memory)
+
+
+def expected_scatterers(assembly: Assembly) -> float:
+    """About how many scatterers are summed."""
+    target, beam = assembly.target, assembly.beam
+    if target.points is not None:
+        return float(len(target.points.points))
+    surface: RoughSurface = target.surface
+    area = float(np.sum(surface.facets.area))
+    if np.isfinite(beam.radius):
+        slope = max(abs(float(assembly.spot.normal @ beam.axis)), 1e-3)
+        area = min(area, np.pi * beam.cutoff**2 / slope)
+    return surface.density * area
+
+
+def _leg_seconds(sources: float, points: float, traced: bool) -> float:
+    """A sum from points to points: every pair, or an expansion where that is faster or the only way."""
+    expanded = _EXPANSION_SECONDS + _EXPANSION_RANK * RECORDED.nufft_point * (sources + points)
+    return expanded if traced else min(sources * points * RECORDED.grid_pair, expanded)
+
+
+def require_affordable(cost: Cost, force: bool) -> None:
+    """InputError for a frame that needs more memory than there is, or, unless forced, more than ``LONG`` seconds."""
+    if too_much := excess(cost.memory):
+        raise InputError(f"a frame would {too_much}: put a smaller opening, a larger tolerance or fewer pixels")
+    if cost.seconds > LONG and not force:
+        raise InputError(
+            f"a frame would take {cost}, more than {duration(LONG)}: --force begins it all the same; a smaller opening, "
+            "a larger tolerance, fewer pixels or scatterers make it shorter"
+        )
