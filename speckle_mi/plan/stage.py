@@ -56,8 +56,11 @@ class Stage:
     def to_json(self) -> dict:
         """What there is to say, as JSON can hold it."""
         content = asdict(self) | {"how": asdict(self.how) if self.how else None}
-        given = {name: value for name, value in content.items() if not (value is None or value == "" or value == ())}
-        return {name: _listed(value) for name, value in given.items()}
+        # Only texts and sequences may be empty: numbers of NumPy's cannot be compared with them.
+        empty = {name for name, value in content.items() if isinstance(value, (str, tuple)) and not value}
+        return {
+            name: _listed(value) for name, value in content.items() if value is not None and name not in empty
+        }
 
     @classmethod
     def from_json(cls, content: dict) -> Stage:
