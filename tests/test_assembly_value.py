@@ -36,7 +36,7 @@ def shaded(tmp_path, x: float, z: float = 25.0) -> str:
 
 
 def folded_points(tmp_path) -> str:
-    """Scatterers of the user's own that are seen in a mirror; a wall keeps their light from going straight."""
+    """Scatterers of the user's own, 5 mm behind the target's plane, seen in a mirror; a wall stops straight light."""
     mirror = Frame(np.array([0.0, 0.0, 40.0]), tilted(0, 135, 0))
     place = detector_frame(direction(90), 30.0)
     wall = Frame(np.array([8.0, 0, 13]), tilted(0, 90, 0))
@@ -45,7 +45,7 @@ def folded_points(tmp_path) -> str:
         element_xml("rectangle", "wall", wall, BLACK, size=(12, 12, 1)),
     ]
     detector = Frame(place.origin + [0, 0, 40.0], place.axes)
-    return bench(tmp_path, SPREAD, detector, elements, diffraction=False)
+    return bench(tmp_path, SPREAD - [0.0, 0.0, 5.0], detector, elements, diffraction=False)
 
 
 def image_of(mitsuba, scene) -> np.ndarray:
