@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from ..propagation.coherent_sum import How
 
 FREE_SPACE = "free space"
@@ -56,7 +58,8 @@ class Stage:
     def to_json(self) -> dict:
         """What there is to say, as JSON can hold it."""
         content = asdict(self) | {"how": asdict(self.how) if self.how else None}
-        return {name: value for name, value in content.items() if not (value is None or value == "" or value == ())}
+        said = {name: value for name, value in content.items() if value is not None and not _is_empty(value)}
+        return {name: float(value) if isinstance(value, np.floating) else value for name, value in said.items()}
 
     @classmethod
     def from_json(cls, content: dict) -> Stage:
@@ -67,6 +70,10 @@ class Stage:
             lists = {name: tuple(value) for name, value in how.items() if isinstance(value, (list, tuple))}
             how = How(**how | lists | {"missed": missed})
         return cls(**content | {"how": how, "elements": tuple(content.get("elements", ()))})
+
+
+def _is_empty(value: object) -> bool:
+    return isinstance(value, (str, tuple)) and not value
 
 
 def in_words(stage: Stage) -> str:
