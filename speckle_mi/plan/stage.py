@@ -59,7 +59,7 @@ class Stage:
         """What there is to say, as JSON can hold it."""
         content = asdict(self) | {"how": asdict(self.how) if self.how else None}
         said = {name: value for name, value in content.items() if value is not None and not _is_empty(value)}
-        return {name: float(value) if isinstance(value, np.floating) else value for name, value in said.items()}
+        return {name: _plain(value) for name, value in said.items()}
 
     @classmethod
     def from_json(cls, content: dict) -> Stage:
@@ -74,6 +74,15 @@ class Stage:
 
 def _is_empty(value: object) -> bool:
     return isinstance(value, (str, tuple)) and not value
+
+
+def _plain(value: object) -> object:
+    """Python's numbers, and lists instead of tuples, so that what was written is equal to what is read again."""
+    if isinstance(value, (tuple, list)):
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def in_words(stage: Stage) -> str:

@@ -38,7 +38,7 @@ def scaling(specimen: Specimen, counts: Sequence[int]) -> dict:
     for tolerance in RANK_TOLERANCES:
         spent, result = seconds(specimen.grid, tolerance)
         ranks.append({"tolerance": tolerance, "rank": result.how.ranks and result.how.ranks[0], "seconds": spent,
-                      "error": result.numerical_error, "plan": result.plan})  # fmt: skip
+                      "error": result.numerical_error, "plan": str(result.how)})  # fmt: skip
     return {
         "frames": _frames(specimen, counts),
         "scatterers": count,

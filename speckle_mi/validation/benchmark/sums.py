@@ -103,7 +103,7 @@ def _ours(judged: Judged) -> Entry:
         return coherent_sum(FreeSpace(), *scatterers, judged.grid, judged.wavelength, "auto", TOLERANCE)
 
     result = work()
-    return judged.entry(f"auto {TOLERANCE:.0e}", timed(work), judged.error(result.field), plan=result.plan)
+    return judged.entry(f"auto {TOLERANCE:.0e}", timed(work), judged.error(result.field), plan=str(result.how))
 
 
 def _direct(judged: Judged) -> Entry:
