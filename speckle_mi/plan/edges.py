@@ -19,6 +19,7 @@ from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes
 from .places import FINE, detector_places, hole_places
+from .relay import Relayed, with_windows
 from .setup import Setup
 from .way import Channel, PhaseGradient, Rim, powers
 
@@ -58,24 +59,25 @@ class EdgeWave:
 
 def chosen_edges(
     setup: Setup, channel: Channel, spots: np.ndarray, first: list[Rim]
-) -> tuple[tuple[Rim, ...], tuple[EdgeWave, ...]]:
-    """The rims to diffract at, in order, and the waves of those that are left out.
+) -> tuple[Relayed, tuple[EdgeWave, ...]]:
+    """The rims to diffract at with windows between them, in order, and the waves of those that are left out.
 
     spots: (m, 3) places that stand for the spot; first: rims that are diffracted at in any case.
     """
-    chosen = list(first)
+    openings = list(first)
     unaffordable: set[int] = set()
     while True:
-        chosen.sort(key=lambda rim: rim.position)
-        rest = [rim for rim in channel.rims if rim not in chosen]
+        relayed = with_windows(setup, channel, sorted(openings, key=lambda rim: rim.position), spots)
+        chosen = list(relayed.openings)
+        rest = [rim for rim in channel.rims if rim.number not in {one.number for one in chosen}]
         waves = [_between_rims(setup, channel, rim, twin) if (twin := _twin(chosen, rim)) is not None
                  else _edge_wave(setup, channel, rim, *_neighbours(chosen, rim), spots) for rim in rest]  # fmt: skip
         wanted = [one for one in waves if _counts(setup, one) and one.rim.number not in unaffordable]
         if not wanted:
-            return tuple(chosen), tuple(waves)
+            return relayed, tuple(waves)
         nearest = min(wanted, key=lambda one: one.v)
         if nearest.v < CUTS or _is_affordable(setup, channel, nearest.rim, chosen, spots):
-            chosen.append(nearest.rim)
+            openings.append(nearest.rim)
         else:
             unaffordable.add(nearest.rim.number)
 
@@ -83,7 +85,7 @@ def chosen_edges(
 def _twin(chosen: list[Rim], rim: Rim) -> Rim | None:
     """The chosen rim of the same glass's other face, which is one pupil with this one."""
     return next((one for one in chosen if not rim.is_screen and one.name == rim.name
-                 and abs(one.number - rim.number) == 1), None)  # fmt: skip
+                 and abs(one.number - rim.number) == 1 and one.plane.outline == rim.plane.outline), None)  # fmt: skip
 
 
 def _between_rims(setup: Setup, channel: Channel, rim: Rim, twin: Rim) -> EdgeWave:

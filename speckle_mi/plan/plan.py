@@ -23,8 +23,7 @@ from ..scattering.beam import TRUNCATION
 from ..scene.errors import SceneError
 from .edges import SHARE, PhaseGradient, all_affordable, chosen_edges, limiting_rims, phase_gradients
 from .places import points_on
-from .relay import LEFT_OUT as RELAY_ERROR
-from .relay import NEAR_CAUSTIC, with_windows
+from .relay import NEAR_CAUSTIC
 from .routes import Route, find_routes
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
 from .stage import (
@@ -244,17 +243,18 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
                 "move the detector"
             )
         return (), [Stage(SHADOWS, reason="as diffraction=false asks for")]
-    first = [] if geometric is not None else _first_opening(setup, channel, why_not)
     spots = spot_samples(setup)
-    chosen, waves = chosen_edges(setup, channel, spots, first)
+    first = [] if geometric is not None else _first_opening(setup, channel, why_not)
+    relayed, waves = chosen_edges(setup, channel, spots, first)
+    chosen = relayed.openings
     if options.method == "rays":
         names = tuple(rim.name for rim in chosen)
         return chosen, [Stage(SHADOWS, names, reason="as rays are not diffracted")]
-    stages = [Stage(DIFFRACTED, tuple(rim.name for rim in chosen))] if chosen else []
-    relayed = with_windows(setup, channel, chosen, spots)
-    chosen = relayed.openings
+    diffracting = tuple(rim.name for rim in chosen if rim not in relayed.windows)
+    stages = [Stage(DIFFRACTED, diffracting)] if diffracting else []
     if relayed.windows:
-        stages.append(Stage(RELAYED, relayed.windows, predicted_error=CERTAINTY * RELAY_ERROR * len(relayed.windows)))
+        names = tuple(rim.name for rim in relayed.windows)
+        stages.append(Stage(RELAYED, names, predicted_error=CERTAINTY * relayed.error))
     left = max(waves, key=lambda one: one.wave, default=None)
     if left is not None and left.wave > 0:
         total = min(1.0, CERTAINTY * float(np.sqrt(sum(one.wave**2 for one in waves))))

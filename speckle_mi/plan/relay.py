@@ -25,11 +25,8 @@ from .way import Channel, Rim, powers
 NEAR_CAUSTIC = 1e-3
 """Cross section of a ray tube, relative to free space, below which geometric optics does not apply."""
 
-WINDOW = 40.0
-"""Fresnel parameter at which a window ends beside the straight light."""
-
-LEFT_OUT = (1 / (np.pi * np.sqrt(2) * WINDOW)) ** 2
-"""Of the field, by a window: what the opening's edge throws there, and the window's own edge back."""
+NARROWEST, WIDEST = 6.0, 40.0
+"""Fresnel parameters at which a window may end beside the straight light."""
 
 _MOST = 4
 _RINGS = (0.0, 0.5, 1.0), 8
@@ -37,13 +34,23 @@ _RINGS = (0.0, 0.5, 1.0), 8
 
 @dataclass(frozen=True)
 class Relayed:
-    """openings: with the windows among them, in order; windows: names of the elements whose planes they lie in."""
+    """openings: with the windows among them, in order; windows: these alone; error: what
+    they leave out, relative to the field."""
 
     openings: tuple[Rim, ...]
-    windows: tuple[str, ...]
+    windows: tuple[Rim, ...]
+    error: float
 
 
-def with_windows(setup: Setup, channel: Channel, openings: tuple[Rim, ...], spots: np.ndarray) -> Relayed:
+def window_parameter(tolerance: float) -> float:
+    """Fresnel parameter v at which a window ends beside the straight light.
+
+    It leaves out what the opening's edge throws there and its own edge throws back, (1/(pi sqrt(2) v))^2 of the field.
+    """
+    return float(np.clip(1 / (np.pi * np.sqrt(2 * tolerance)), NARROWEST, WIDEST))
+
+
+def with_windows(setup: Setup, channel: Channel, openings: list[Rim], spots: np.ndarray) -> Relayed:
     """The openings of a way with windows where a leg between two of them, the spot and the detector has no path.
 
     spots: (m, 3) places that stand for the spot.
@@ -53,9 +60,10 @@ def with_windows(setup: Setup, channel: Channel, openings: tuple[Rim, ...], spot
         window = _needed(setup, channel, found, spots)
         if window is None:
             break
-        windows.append(window.name)
+        windows.append(window)
         found = sorted([*found, window], key=lambda rim: rim.position)
-    return Relayed(tuple(found), tuple(windows))
+    v = window_parameter(setup.assembly.options.tolerance)
+    return Relayed(tuple(found), tuple(windows), len(windows) / (np.pi * np.sqrt(2) * v) ** 2)
 
 
 def _needed(setup: Setup, channel: Channel, openings: list[Rim], spots: np.ndarray) -> Rim | None:
@@ -112,7 +120,7 @@ def _window(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots:
     middle = 0.5 * (local.min(axis=0) + local.max(axis=0))
     length = float(np.linalg.norm(rim.plane.frame.origin - before.plane.frame.origin))
     radius = float(np.max(np.hypot(*(local - middle).T)))
-    radius += WINDOW * np.sqrt(setup.assembly.beam.wavelength * length / 2)
+    radius += window_parameter(setup.assembly.options.tolerance) * np.sqrt(setup.assembly.beam.wavelength * length / 2)
     if radius + np.hypot(*middle) >= min(rim.plane.outline.half_size):
         return rim
     centre = rim.plane.frame.to_world(np.array([[*middle, 0.0]]))[0]

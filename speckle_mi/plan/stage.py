@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+import numpy as np
+
 from ..propagation.coherent_sum import How
 
 FREE_SPACE = "free space"
@@ -56,11 +58,8 @@ class Stage:
     def to_json(self) -> dict:
         """What there is to say, as JSON can hold it."""
         content = asdict(self) | {"how": asdict(self.how) if self.how else None}
-        # Only texts and sequences may be empty: numbers of NumPy's cannot be compared with them.
-        empty = {name for name, value in content.items() if isinstance(value, (str, tuple)) and not value}
-        return {
-            name: _listed(value) for name, value in content.items() if value is not None and name not in empty
-        }
+        said = {name: value for name, value in content.items() if value is not None and not _is_empty(value)}
+        return {name: _plain(value) for name, value in said.items()}
 
     @classmethod
     def from_json(cls, content: dict) -> Stage:
@@ -73,11 +72,17 @@ class Stage:
         return cls(**content | {"how": how, "elements": tuple(content.get("elements", ()))})
 
 
-def _listed(value: object) -> object:
-    """Lists instead of tuples, so that what was written is equal to what is read again."""
+def _is_empty(value: object) -> bool:
+    return isinstance(value, (str, tuple)) and not value
+
+
+def _plain(value: object) -> object:
+    """Python's numbers, and lists instead of tuples, so that what was written is equal to what is read again."""
     if isinstance(value, (tuple, list)):
-        return [_listed(item) for item in value]
-    return {name: _listed(item) for name, item in value.items()} if isinstance(value, dict) else value
+        return [_plain(item) for item in value]
+    if isinstance(value, dict):
+        return {name: _plain(item) for name, item in value.items()}
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def in_words(stage: Stage) -> str:

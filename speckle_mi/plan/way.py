@@ -22,7 +22,7 @@ _ROOM = 1.5
 """Factor on how far a face bends beyond its rim, for rays aslant."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rim:
     """An outline that light goes through, as a plane: where it stands in the order of interactions.
 
