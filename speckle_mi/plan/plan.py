@@ -43,7 +43,7 @@ from .stage import (
     WAY,
     Stage,
 )
-from .strength import Strength, strength_of
+from .strength import Strength, reached_share, strength_of
 from .way import Channel, Rim, rims_of, with_slack
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
@@ -97,13 +97,41 @@ def make_plan(setup: Setup) -> Plan:
     strengths = [strength_of(setup, one.route, one.interactions, one.grid, spots) for one in bare]
     lit = arrivals.in_area and any(strength.lit for strength in strengths)
     kept, stages = _kept(setup, bare, strengths) if lit else (bare, [])
-    channels = tuple(_channel(setup, one) for one in kept)
+    channels, beyond = _treated(setup, kept, spots)
+    stages += beyond
     stages = [*(stage for channel in channels for stage in channel.stages), *stages]
     warnings = ()
     if not lit:
         stages.append(Stage(BESIDE))
         warnings = (f"no geometric light reaches the detector: {blocker}",)
     return Plan(channels, tuple(stages), warnings)
+
+
+def _treated(setup: Setup, kept: list[Channel], spots: np.ndarray) -> tuple[tuple[Channel, ...], list[Stage]]:
+    """The ways with all that is done for them, and stages on those that cannot be treated beside others that can.
+
+    Such are ways over many edges that all cut the light, as along the inside of a plate. What they bring is stated as an
+    error. Raises SceneError where no way can be treated.
+    """
+    channels, refused, errors = [], [], []
+    for one in kept:
+        try:
+            channels.append(_channel(setup, one))
+        except SceneError as error:
+            refused.append(one)
+            errors.append(error)
+    if refused and not channels or any(not _is_devious(one) for one in refused):
+        raise errors[0]
+    stages = [
+        Stage(OTHER_WAY, way=one.route.label, predicted_error=reached_share(one, spots)) for one in refused
+    ]
+    return tuple(channels), stages
+
+
+def _is_devious(channel: Channel) -> bool:
+    """Whether light is totally reflected inside a glass on a way, which nobody builds a sensor on."""
+    return any(step[2] == "reflect" and i.index_before != 1.0
+               for step, i in zip(channel.route.steps, channel.route.interactions, strict=True))  # fmt: skip
 
 
 def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:

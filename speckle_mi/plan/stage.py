@@ -119,7 +119,7 @@ def in_words(stage: Stage) -> str:
                 f"left out: the wave of its edge (about {stage.predicted_error:.1%} of the field)"
             )
         case "other way":
-            return f"left out: {stage.way}, light that edges alone throw there (about {stage.predicted_error:.1e} of the field)"
+            return f"left out: {stage.way} (about {stage.predicted_error:.1e} of the field)"
         case "no way":
             return f"no way: no light reaches the detector, {stage.reason}"
         case "beside the detector":

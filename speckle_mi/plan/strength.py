@@ -14,8 +14,13 @@ from ..optics.trace import trace
 from .places import detector_places, hole_places
 from .routes import Route
 from .setup import Setup
+from .way import Channel
 
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 0.98), 8
+
+
+_SHARE_SIDE = 9
+"""Places a side on the detector at which is looked whether a way reaches them."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +67,18 @@ def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...
         if not len(places):
             places, directions = goals, None
     return Strength(share == 1.0, share, 1 / max(length, 1e-300))
+
+
+def reached_share(channel: Channel, spots: np.ndarray) -> float:
+    """Amplitude of a way's straight light on the whole detector, relative to light that reaches all of it.
+
+    spots: (m, 3) places that stand for the spot. The root of the share of the detector that it reaches.
+    """
+    places = detector_places(channel.grid, _SHARE_SIDE)
+    starts, ends = np.repeat(spots, len(places), axis=0), np.tile(places, (len(spots), 1))
+    aimed = aim(Sequence((*channel.interactions, detector_plane(channel.grid))), starts, ends)
+    reached = aimed.converged & np.all(aimed.margins >= 0, axis=0)
+    return float(np.sqrt(max(np.mean(reached), 0.5 / len(places))))
 
 
 def _hole(plane: Surface) -> np.ndarray:
