@@ -11,6 +11,7 @@ import numpy as np
 from ..geometry.plane import PlaneGrid
 from ..geometry.pose import Pose
 from ..images.field_image import FieldImage
+from ..machine.backend import ensure_variant
 from ..machine.cores import products_on_one_thread
 from ..machine.progress import tell
 from ..plan.cost import Cost, cost_of
@@ -62,6 +63,7 @@ class Simulation:
     """
 
     def __init__(self, assembly: Assembly) -> None:
+        ensure_variant()
         self.assembly = assembly
         self._tracer = Tracer(assembly)
         self._plans: dict[tuple[Pose, Options], Plan] = {}

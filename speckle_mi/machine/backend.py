@@ -28,6 +28,12 @@ def set_variant(name: str = DEFAULT_VARIANT) -> None:
             raise InputError(f"variant {name!r}: finds no GPU with a driver here, must be one of {there}") from None
 
 
+def ensure_variant() -> None:
+    """Activates the default variant where none is active, as in a process that was sent an assembly."""
+    if mi.variant() is None:
+        set_variant()
+
+
 def is_usable(variant: str) -> bool:
     """Whether a variant computes one wavelength on a just-in-time compiled back end."""
     return variant in ("llvm_ad_mono", "cuda_ad_mono", "llvm_mono", "cuda_mono")

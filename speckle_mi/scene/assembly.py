@@ -91,7 +91,7 @@ class Assembly:
         return isinstance(other, Assembly) and self._whole == other._whole
 
     def __hash__(self) -> int:
-        return hash(self._whole)
+        return int(self._whole, 16)  # the same in every process, as texts' hashes are not
 
     @property
     def seed(self) -> int:
