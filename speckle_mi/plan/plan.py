@@ -97,35 +97,13 @@ def make_plan(setup: Setup) -> Plan:
     strengths = [strength_of(setup, one.route, one.interactions, one.grid, spots) for one in bare]
     lit = arrivals.in_area and any(strength.lit for strength in strengths)
     kept, stages = _kept(setup, bare, strengths) if lit else (bare, [])
-    channels, beyond = _treated(setup, kept, spots)
-    stages += beyond
+    channels = tuple(_channel(setup, one) for one in kept)
     stages = [*(stage for channel in channels for stage in channel.stages), *stages]
     warnings = ()
     if not lit:
         stages.append(Stage(BESIDE))
         warnings = (f"no geometric light reaches the detector: {blocker}",)
     return Plan(channels, tuple(stages), warnings)
-
-
-def _treated(setup: Setup, kept: list[Channel], spots: np.ndarray) -> tuple[tuple[Channel, ...], list[Stage]]:
-    """The ways with all that is done for them, and stages on those that cannot be treated beside others that can.
-
-    Such are ways over many edges that all cut the light, as along the inside of a plate. What they bring is stated as an
-    error. Raises SceneError where no way can be treated.
-    """
-    channels, refused, errors = [], [], []
-    for one in kept:
-        try:
-            channels.append(_channel(setup, one))
-        except SceneError as error:
-            refused.append(one)
-            errors.append(error)
-    if refused and not channels or any(not _is_devious(one) for one in refused):
-        raise errors[0]
-    stages = [
-        Stage(OTHER_WAY, way=one.route.label, predicted_error=reached_share(one, spots)) for one in refused
-    ]
-    return tuple(channels), stages
 
 
 def _is_devious(channel: Channel) -> bool:
@@ -138,14 +116,19 @@ def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple
     """The ways that count beside those of straight light, and stages that say what the others amount to.
 
     A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the detector,
-    where no diffraction is asked for, or where its integral is not affordable.
+    where no diffraction is asked for, or where its integral is not affordable; light that is totally reflected inside a
+    glass, as along the inside of a plate, beside light that is not.
     """
     options = setup.assembly.options
     straight = max(strength.amplitude for strength in strengths if strength.lit)
+    plain = any(strength.lit and not _is_devious(one) for one, strength in zip(bare, strengths, strict=True))
     kept, stages = [], []
     for channel, strength in zip(bare, strengths, strict=True):
         share = strength.share * strength.amplitude / straight
-        if strength.lit:
+        if plain and _is_devious(channel):
+            share *= reached_share(channel, spot_samples(setup))
+            stages.append(Stage(OTHER_WAY, way=channel.route.label, predicted_error=share))
+        elif strength.lit:
             kept.append(channel)
         elif options.diffraction and options.method != "rays":
             if share > SHARE * options.tolerance and all_affordable(setup, channel, spot_samples(setup)):

@@ -32,6 +32,9 @@ MOST_SEQUENCES = 400
 MOST_REFLECTIONS = 1
 """Reflections one after the other at the inside of one closed mirror."""
 
+MOST_TOTAL = 3
+"""Total reflections one after the other inside a glass that are followed."""
+
 RAYS_KEPT = 64
 """Rays of a sequence that are kept to aim from."""
 
@@ -241,7 +244,7 @@ class Search:
         if steps not in self._sequences:
             if len(self._sequences) >= MOST_SEQUENCES or len(steps) >= MAX_INTERACTIONS:
                 return None
-            if len(steps) > MOST_REFLECTIONS and self._bounces(steps):
+            if self._bounces(steps) or self._is_trapped(steps, interactions):
                 return None
             self._sequences[steps] = _Sequence(steps, interactions, inside, left)
             self._waiting.append(self._sequences[steps])
@@ -249,9 +252,18 @@ class Search:
 
     def _bounces(self, steps: tuple[Step, ...]) -> bool:
         """Whether light goes to and fro inside one closed mirror."""
+        if len(steps) <= MOST_REFLECTIONS:
+            return False
         number, *_ = steps[-1]
         closed = self._meetings.elements[number].closed and self._meetings.elements[number].kind == "mirror"
         return closed and all(step[0] == number for step in steps[-MOST_REFLECTIONS - 1 :])
+
+    @staticmethod
+    def _is_trapped(steps: tuple[Step, ...], interactions: tuple[Interaction, ...]) -> bool:
+        """Whether light has been totally reflected inside a glass more often than is followed."""
+        last = list(zip(steps, interactions, strict=True))[-MOST_TOTAL - 1 :]
+        total = [step[2] == "reflect" and interaction.index_before != 1.0 for step, interaction in last]
+        return len(last) > MOST_TOTAL and all(total)
 
     def _arrive(self, sequence: _Sequence, end: int | None, side: int, starts, launches) -> None:
         self._arrived.setdefault((sequence.steps, end, side), []).append((starts, launches))
