@@ -25,7 +25,7 @@ from ..plan.shadows import (
     shadowed_sum,
     shapes_beside_way,
 )
-from ..plan.way import Channel, Rim
+from ..plan.way import Channel, Rim, without_rims
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
 from ..propagation.opening_quadrature import TIGHTEST, opening_nodes
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
@@ -240,8 +240,7 @@ def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: 
     """What leads from point set ``number`` of the channel to the next, which lies in the plane ``end``."""
     between = channel.leg(number)
     if between and channel.openings:
-        # Openings and shadows have their own say on rims: beside them paths are only there to be interpolated.
-        between = tuple(replace(i, surface=replace(i.surface, outline=None)) for i in between)
+        between = without_rims(between)  # beside an opening paths are only there to be interpolated
     if between:
         return TracedLeg(Sequence((*between, end)), wavelength, opening)
     return FreeSpace() if opening is None else RayleighSommerfeld(opening[0], wavelength)

@@ -294,7 +294,7 @@ def _share_coming(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, 
     """
     if before is None:
         return 1.0
-    holes = hole_places(before.plane, _HOLE_SHARES, _HOLE_ANGLES)
+    holes = hole_places(before.plane, (0.0, 1.0), 6)
     starts, ends = np.repeat(spots, len(holes), axis=0), np.tile(holes, (len(spots), 1))
     aimed = aim(Sequence((*powers(channel, 0, before.position), before.end)), starts, ends)
     good = aimed.converged
@@ -321,7 +321,7 @@ def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None)
         return 1.0
     _, trailing, _ = _pieces(channel, rim, None, after)
     behind = powers(channel, after.position, len(channel.interactions))
-    points, holes = _rim_points(rim, 16), hole_places(after.plane, _HOLE_SHARES, _HOLE_ANGLES)
+    points, holes = _rim_points(rim, 8), hole_places(after.plane, (0.0, 1.0), 4)
     starts, ends = np.repeat(points, len(holes), axis=0), np.tile(holes, (len(points), 1))
     aimed = aim(Sequence((*trailing, after.end)), starts, ends)
     good = aimed.converged

@@ -93,7 +93,6 @@ def _is_singular(channel: Channel, before: Rim | None, after: Rim | None, spots:
     sources = hole_places(before.plane, *_RINGS) if before else spots
     targets = hole_places(after.plane, *_RINGS) if after else detector_places(channel.grid)
     end = after.end if after else detector_plane(channel.grid)
-    between = tuple(replace(i, surface=replace(i.surface, outline=None)) for i in between)
     starts, ends = np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
     aimed = aim(Sequence((*between, end)), starts, ends)
     if not np.all(aimed.converged):
