@@ -196,8 +196,12 @@ def test_shape_that_cuts_diffracted_light_is_refused(assemble, tmp_path, element
     ids=["card", "ball"],
 )
 def test_shape_that_cuts_free_light_casts_its_shadow_and_the_wave_of_its_edge_is_stated(assemble, tmp_path, element):
-    text = [bench(tmp_path, (0, 0, 0), facing(60), [element], pixels=(48, 32), pitch=0.05, diffraction=d) for d in (True, False)]
-    frame, shadow = (simulate_frame(assemble(one)) for one in text)
+    frame, shadow = (
+        simulate_frame(
+            assemble(bench(tmp_path, (0, 0, 0), facing(60), [element], pixels=(48, 32), pitch=0.05, diffraction=d))
+        )
+        for d in (True, False)
+    )
     assert np.array_equal(frame.image.field == 0, shadow.image.field == 0) and np.any(frame.image.field == 0)
     cut, *_ = [stage for stage in frame.stages if stage.kind == "cut"]
     assert cut.elements == ("card",) and 0.02 < cut.predicted_error <= frame.numerical_error

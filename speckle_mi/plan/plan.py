@@ -87,7 +87,8 @@ def make_plan(setup: Setup) -> Plan:
     """
     if not setup.assembly.elements:
         free = Channel(Route((), (), 0), (), setup.assembly.detector, (), (), ())
-        return Plan((free,), (Stage(FREE_SPACE, reason="nothing stands between target and detector, no ray is launched"),))
+        nothing = "nothing stands between target and detector, no ray is launched"
+        return Plan((free,), (Stage(FREE_SPACE, reason=nothing),))
     spots = spot_samples(setup)
     arrivals = find_routes(setup, spots)
     blocker = _main_blocker(arrivals.stopped)
@@ -115,9 +116,9 @@ def _is_devious(channel: Channel) -> bool:
 def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:
     """The ways that count beside those of straight light, and stages that say what the others amount to.
 
-    A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the detector,
-    where no diffraction is asked for, or where its integral is not affordable; light that is totally reflected inside a
-    glass, as along the inside of a plate, beside light that is not.
+    A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the
+    detector, where no diffraction is asked for, or where its integral is not affordable; light that is totally
+    reflected inside a glass, as along the inside of a plate, beside light that is not.
     """
     options = setup.assembly.options
     straight = max(strength.amplitude for strength in strengths if strength.lit)
@@ -181,15 +182,16 @@ def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
         return phase_gradients(channel, spot_samples(setup), setup.assembly.beam.wavelength)
     except InputError as error:
         raise SceneError(
-            f"way {channel.route.label}: {error}; put a smaller stop, or set diffraction to false where there is no focus"
+            f"way {channel.route.label}: {error}; "
+            "put a smaller stop, or set diffraction to false where there is no focus"
         ) from None
 
 
 def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Stage]:
     """A stage on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
 
-    A shape that cuts the light of a way without openings casts its geometric shadow, and the wave of its edge is stated.
-    Raises SceneError where one cuts the light on its way to an opening.
+    A shape that cuts the light of a way without openings casts its geometric shadow, and the wave of its edge is
+    stated. Raises SceneError where one cuts the light on its way to an opening.
     """
     wave = 1.0
     if channel.openings:
@@ -273,7 +275,8 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
             f"the nearest edge, of {left.rim.name}, is clear of the light "
             f"(the edges' waves are at most about {total:.1%} of the field)"
         )
-        stages.append(Stage(NOT_DIFFRACTED if not chosen else CLEAR, (left.rim.name,), reason=reason, predicted_error=total))
+        kind = CLEAR if chosen else NOT_DIFFRACTED
+        stages.append(Stage(kind, (left.rim.name,), reason=reason, predicted_error=total))
     elif not chosen:
         stages.append(Stage(NOT_DIFFRACTED, reason="no edge lies in the light"))
     return chosen, stages

@@ -33,10 +33,10 @@ class Stage:
     """A step of a plan, or what a frame did for it.
 
     kind: one of the constants above; elements: ids of the shapes it is about, in order, or where a sum ends; way: the
-    way it belongs to; reason: why, where there is something to say; how: of a sum, what was chosen; nodes: on the opening
-    where a sum ends; count: rays a source, or side of the square of sub-pixels; rays: traced in all; share: of the pixels
-    (in shadow, or reached); predicted_error: of the field, known beforehand; error: measured, both relative L2; seconds:
-    it took.
+    way it belongs to; reason: why, where there is something to say; how: of a sum, what was chosen; nodes: on the
+    opening where a sum ends; count: rays a source, or side of the square of sub-pixels; rays: traced in all; share: of
+    the pixels (in shadow, or reached); predicted_error: of the field, known beforehand; error: measured, both relative
+    L2; seconds: it took.
     """
 
     kind: str

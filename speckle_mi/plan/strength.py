@@ -27,8 +27,8 @@ _SHARE_SIDE = 9
 class Strength:
     """Of a way's light on the detector.
 
-    lit: whether straight light arrives in its area; share: amplitude of what arrives relative to straight light, 1 where
-    lit; amplitude: of straight light over its length [1/mm].
+    lit: whether straight light arrives in its area; share: amplitude of what arrives relative to straight light, 1
+    where lit; amplitude: of straight light over its length [1/mm].
     """
 
     lit: bool
@@ -39,8 +39,8 @@ class Strength:
 def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...], grid: PlaneGrid, spots) -> Strength:
     """How strong a way's light is; interactions, grid: the way with plane mirrors unfolded.
 
-    From one place to the next (spot, openings, detector) rays go straight on. Where they miss the next by a distance x, the
-    edge of the opening before throws 1/(pi sqrt(2) v) of them there, v = x sqrt(2 / (lambda L)).
+    From one place to the next (spot, openings, detector) rays go straight on. Where they miss the next by a distance x,
+    the edge of the opening before throws 1/(pi sqrt(2) v) of them there, v = x sqrt(2 / (lambda L)).
     """
     stops = [n for n, step in enumerate(route.steps) if step[2] == "pass"]
     share, places, start = 1.0, spots, 0

@@ -64,9 +64,10 @@ class Channel:
     """One route with everything that its field is computed from.
 
     interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
-    diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
-    stages: what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are not diffracted at amount to, relative to the
-    field; hidden: pixels (rows, columns) that something hides from a part of the last opening.
+    diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted; stages:
+    what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are
+    not diffracted at amount to, relative to the field; hidden: pixels (rows, columns) that something hides from a part
+    of the last opening.
     """
 
     route: Route
