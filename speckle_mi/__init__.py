@@ -51,11 +51,12 @@ __all__ = list(_PUBLIC)
 
 
 def __getattr__(name: str) -> object:
-    """Imports what is public when it is asked for: Mitsuba, plots and the like are loaded only by those who use them."""
+    """Imports what is public when it is asked for: Mitsuba, plots and the like are loaded by their users only."""
     from importlib import import_module
 
     if name not in _PUBLIC:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}, its public names are {', '.join(_PUBLIC)}")
+        public = ", ".join(_PUBLIC)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}, its public names are {public}")
     module = import_module(f"{__name__}.{_PUBLIC[name]}")
     return module if name == "theory" else getattr(module, name)
 

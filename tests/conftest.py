@@ -10,6 +10,7 @@ ROOT = Path(__file__).resolve().parent.parent
 SCENES = ROOT / "scenes"
 
 SLOW_LAST = (
+    "test_random_ways",
     "test_shadows",
     "test_optics_fields",
     "test_optics_scene",

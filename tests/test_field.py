@@ -84,9 +84,9 @@ def test_auto_keeps_its_tolerance_on_a_detector_where_it_expands(assemble, tmp_p
         detector={"width": 372, "height": 240, "pixel_pitch": 0.006},
     )
     frame, exact = check_against_sources(assemble(text), tmp_path, tolerance=tolerance)
-    # The estimate comes from at most 64 of the pixels: right within a factor of two.
+    # Measured on a few tens of the pixels, and stated as a bound: not below the true one, and not far above it.
     true = relative_error(frame.image.field, exact)
-    assert 0.5 * true < frame.numerical_error < 2 * true + 1e-9
+    assert true <= frame.numerical_error < 3 * true + 1e-9
 
 
 def test_field_ten_metres_away_from_a_laser_ten_metres_away(assemble, tmp_path):

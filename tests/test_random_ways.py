@@ -23,9 +23,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import random_ways  # noqa: E402
 
-ENABLED = ("lens_stop", "lens_far")
-"""Kinds that the sample holds, all of whose scenes come out right. The aim is ``tuple(random_ways.KINDS)``: a change that
-mends a kind adds it here."""
+LEFT_TO_THE_COMMAND = ("curved_behind_stop", "two_ways_curved", "sphere_inside")
+"""Kinds whose reference leaves out light that the package finds: thrown past a mirror by a stop's edge alone, or sent to one
+pixel by several parts of a hollow sphere."""
+
+ENABLED = tuple(kind for kind in random_ways.KINDS if kind not in LEFT_TO_THE_COMMAND)
+"""Kinds that the sample holds."""
 
 SAMPLE = 60
 """Scenes judged in a run of the tests; the command judges all."""

@@ -171,8 +171,6 @@ LENS_AND_STOP = [
 @pytest.mark.parametrize(
     "elements, detector",
     [
-        ([card(0.0, 25.0)], facing(60)),
-        ([element_xml("sphere", "card", Frame(np.array([2.0, 0, 30]), np.eye(3)), BLACK, radius=2.0)], facing(60)),
         ([card(0.5, 40.0), *LENS_AND_STOP], facing(198.0)),
         ([card(0.5, 130.0), *LENS_AND_STOP], facing(198.0)),
         (
@@ -184,12 +182,30 @@ LENS_AND_STOP = [
             facing(75.0),
         ),
     ],
-    ids=["free space", "ball", "before a lens", "behind a stop", "before an aperture", "behind an aperture"],
+    ids=["before a lens", "behind a stop", "before an aperture", "behind an aperture"],
 )
 def test_shape_that_cuts_diffracted_light_is_refused(assemble, tmp_path, elements, detector):
     with pytest.raises(SceneError, match="card|hides a part") as caught:
         simulate_frame(assemble(bench(tmp_path, (0, 0, 0), detector, elements, pixels=(24, 16), pitch=0.02)))
     assert "diffraction" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "element",
+    [card(0.0, 25.0), element_xml("sphere", "card", Frame(np.array([2.0, 0, 30]), np.eye(3)), BLACK, radius=2.0)],
+    ids=["card", "ball"],
+)
+def test_shape_that_cuts_free_light_casts_its_shadow_and_the_wave_of_its_edge_is_stated(assemble, tmp_path, element):
+    frame, shadow = (
+        simulate_frame(
+            assemble(bench(tmp_path, (0, 0, 0), facing(60), [element], pixels=(48, 32), pitch=0.05, diffraction=d))
+        )
+        for d in (True, False)
+    )
+    assert np.array_equal(frame.image.field == 0, shadow.image.field == 0) and np.any(frame.image.field == 0)
+    cut, *_ = [stage for stage in frame.stages if stage.kind == "cut"]
+    assert cut.elements == ("card",) and 0.02 < cut.predicted_error <= frame.numerical_error
+    assert any("more than the tolerance" in warning for warning in frame.warnings)
 
 
 @pytest.mark.parametrize("diffraction", [True, False])

@@ -55,8 +55,8 @@ class Lobe:
     ) -> np.ndarray:
         """sqrt(f cos) (n, m) of the BSDF f at facets from the laser towards directions (n, m, 3) of any length.
 
-        beam: that lights them; axes: (3, 3) the target's x, y, z; normals: (n, 3) unit normals; points: (n, 3) places on
-        the facets [mm]; all in the world.
+        beam: that lights them; axes: (3, 3) the target's x, y, z; normals: (n, 3) unit normals; points: (n, 3) places
+        on the facets [mm]; all in the world.
         """
         tangents = _tangents(axes, normals)
         local = np.stack([tangents, np.cross(normals, tangents), normals], axis=1)
@@ -86,10 +86,10 @@ class Lobe:
     ) -> tuple[LobeTerm, ...]:
         """The lobes of all scatterers as a short sum of products of a source's and a place's factor.
 
-        launch: (points (n, 3), places (m, 3)) -> directions (n, m, 3) in which light leaves towards the places; samples:
-        (m, 3) places spread over those that are asked for; tolerance: relative error of the field.
-        The lobes of few facets stand for all, by a pivoted QR of what each sends to the samples (interpolative
-        decomposition: H. Cheng et al., SIAM J. Sci. Comput. 26 (2005) 1389, doi:10.1137/030602678).
+        launch: (points (n, 3), places (m, 3)) -> directions (n, m, 3) in which light leaves towards the places;
+        samples: (m, 3) places spread over those that are asked for; tolerance: relative error of the field. The lobes
+        of few facets stand for all, by a pivoted QR of what each sends to the samples (interpolative decomposition: H.
+        Cheng et al., SIAM J. Sci. Comput. 26 (2005) 1389, doi:10.1137/030602678).
         """
         normals, points, facet = facets_of(scatterers, setup.spot.point)
         light = setup.assembly.beam, setup.frame.axes

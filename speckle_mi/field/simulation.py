@@ -58,8 +58,8 @@ def plan_of(assembly: Assembly, pose: Pose | None = None) -> Plan:
 class Simulation:
     """Frames of one assembly.
 
-    Holds what frames share and is worth keeping: the copied geometry that rays run in, and the plan of every pose. Frames
-    do not depend on what was rendered before, and may be made from several threads.
+    Holds what frames share and is worth keeping: the copied geometry that rays run in, and the plan of every pose.
+    Frames do not depend on what was rendered before, and may be made from several threads.
     """
 
     def __init__(self, assembly: Assembly) -> None:
@@ -83,13 +83,12 @@ class Simulation:
         return cost_of(setup.assembly, self._plan(setup).channels)
 
     @products_on_one_thread()
-    def frame(
-        self, pose: Pose | None = None, seed: int | None = None, options: Options | None = None
-    ) -> FrameResult:
+    def frame(self, pose: Pose | None = None, seed: int | None = None, options: Options | None = None) -> FrameResult:
         """The field image with everything that was found out on the way.
 
         pose: displacement of the target from rest (default: the scene's); seed: which surface (default: the scene's);
-        options: of the integrator (default: the scene's). Raises SceneError where the field cannot be computed as asked.
+        options: of the integrator (default: the scene's). Raises SceneError where the field cannot be computed as
+        asked.
         """
         began = time.perf_counter()
         assembly = self.assembly if seed is None else self.assembly.with_seed(seed)

@@ -25,7 +25,7 @@ from ..plan.shadows import (
     shadowed_sum,
     shapes_beside_way,
 )
-from ..plan.way import Channel, Rim
+from ..plan.way import Channel, Rim, without_rims
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
 from ..propagation.opening_quadrature import TIGHTEST, opening_nodes
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
@@ -45,7 +45,7 @@ _FEW_PAIRS = 300_000
 """Pairs of scatterer and pixel below which their plain sum takes less time than the search for a better way."""
 
 _QUADRATURE_SHARE = 1e-3
-"""Part of the tolerance to which the integral over an opening is resolved: it converges so fast that this costs little."""
+"""Part of the tolerance to which the integral over an opening is resolved: it converges fast, and costs little."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +75,7 @@ def channel_field(
         began = time.perf_counter()
         gradient = channel.gradients[number]
         try:
-            nodes, areas = opening_nodes(
-                rim.plane.outline, rim.plane.frame, gradient.bound, quadrature, gradient.tilt
-            )
+            nodes, areas = opening_nodes(rim.plane.outline, rim.plane.frame, gradient.bound, quadrature, gradient.tilt)
         except InputError as error:
             raise SceneError(
                 f"opening {rim.name!r}: {error}; "
@@ -182,9 +180,7 @@ def _sums(
     ]
 
 
-def _channel_field(
-    channel: Channel, values: np.ndarray, stages: list[Stage], quadrature: float = 0.0
-) -> ChannelField:
+def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage], quadrature: float = 0.0) -> ChannelField:
     """The whole of a channel; its error is that of the sums, of what is left out and of the quadrature together."""
     parts = [*(stage.error for stage in stages), channel.left_out, quadrature]
     error = float(np.sqrt(np.sum(np.square(parts))))
@@ -211,7 +207,11 @@ def ray_channel(
 ) -> tuple[ChannelField, list[str]]:
     """The field by the paper's own method, fans of rays whose paths are interpolated on the pixels; and warnings."""
     sequence = Sequence(channel.interactions) if channel.interactions else None
-    rays, wavelength, began = setup.assembly.options.rays_per_source, setup.assembly.beam.wavelength, time.perf_counter()
+    rays, wavelength, began = (
+        setup.assembly.options.rays_per_source,
+        setup.assembly.beam.wavelength,
+        time.perf_counter(),
+    )
     sources, values, traced, warnings = scatterers.position, None, 0, []
     beside = shapes_beside_way(setup, channel, extremes(sources, setup.frame.axes))
     for term in _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe):
@@ -240,8 +240,7 @@ def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: 
     """What leads from point set ``number`` of the channel to the next, which lies in the plane ``end``."""
     between = channel.leg(number)
     if between and channel.openings:
-        # Openings and shadows have their own say on rims: beside them paths are only there to be interpolated.
-        between = tuple(replace(i, surface=replace(i.surface, outline=None)) for i in between)
+        between = without_rims(between)  # beside an opening paths are only there to be interpolated
     if between:
         return TracedLeg(Sequence((*between, end)), wavelength, opening)
     return FreeSpace() if opening is None else RayleighSommerfeld(opening[0], wavelength)
@@ -314,4 +313,3 @@ def _require_dark(channel: Channel, values: np.ndarray) -> None:
             "a rim or a shape hides a part of that opening, and the diffraction there is not computed: make that "
             "element wider, move it out of the light, or the detector smaller"
         )
-

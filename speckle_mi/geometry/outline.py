@@ -1,7 +1,7 @@
 """Outlines of openings and elements: circle, circle off the axis, rectangle, with signed clearances. Lengths are mm.
 
-``centre`` is the middle (x, y) of an outline in the surface's local coordinates, ``half_size`` half its extent along x and
-y from there, ``reach`` the distance of its farthest point from the local origin.
+``centre`` is the middle (x, y) of an outline in the surface's local coordinates, ``half_size`` half its extent along x
+and y from there, ``reach`` the distance of its farthest point from the local origin.
 """
 
 from __future__ import annotations

@@ -202,7 +202,7 @@ def _to_first_vertex(sequence: Sequence, source: np.ndarray, target: np.ndarray)
     """Unit directions (3, n) from the sources to where the first surface has its light, else to the target."""
     axis = sequence.interactions[0].place[:, None] - source
     axis = np.where(np.any(axis != 0.0, axis=0), axis, target - source)
-    return axis / np.sqrt(dot(axis, axis))
+    return axis / np.maximum(np.sqrt(dot(axis, axis)), 1e-300)
 
 
 def _fan(source: np.ndarray, target: np.ndarray, axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -381,8 +381,9 @@ def _transverse(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _turned(direction: np.ndarray, e1: np.ndarray, e2: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """``direction`` (3, n) turned by small ``angles`` (2, n) towards e1, e2; unit."""
-    turned = direction + angles[0] * e1 + angles[1] * e2
-    return turned / np.sqrt(dot(turned, turned))
+    with np.errstate(invalid="ignore", over="ignore"):  # of rays that are lost
+        turned = direction + angles[0] * e1 + angles[1] * e2
+        return turned / np.sqrt(dot(turned, turned))
 
 
 def _solve(first: np.ndarray, second: np.ndarray, residual: np.ndarray) -> np.ndarray:

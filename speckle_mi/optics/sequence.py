@@ -22,9 +22,8 @@ class Interaction:
     reference plane, the detector); index_before, index_after: refractive indices of the segments on its way in and out;
     root: which crossing of the surface is meant, see ``Surface.intersect``; amplitude: factor of the light's amplitude
     here, the square root of the reflectance or transmittance; near: (3,) where on the surface its light is, in its own
-    frame [mm], None for its middle; slack: how far [mm] it may lie behind the one before, as where a stop cuts through the
-    curved face of a lens.
-    Build with ``Interaction.refract``, ``.reflect``, ``.through``.
+    frame [mm], None for its middle; slack: how far [mm] it may lie behind the one before, as where a stop cuts through
+    the curved face of a lens. Build with ``Interaction.refract``, ``.reflect``, ``.through``.
     """
 
     surface: Surface

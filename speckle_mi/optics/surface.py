@@ -135,8 +135,8 @@ class Surface:
     def crossings(self, point: np.ndarray, direction: np.ndarray, closed: bool) -> tuple[np.ndarray, np.ndarray]:
         """Lengths (2, n) [mm] along local rays to both crossings, rising, and the places (2, 3, n); NaN where none is.
 
-        point, direction: (3, n), directions of unit length; lengths may be negative. closed: whether the whole quadric is
-        meant; else only its sheet through the vertex, inside the outline.
+        point, direction: (3, n), directions of unit length; lengths may be negative. closed: whether the whole quadric
+        is meant; else only its sheet through the vertex, inside the outline.
         """
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             foot = -dot(point, direction)

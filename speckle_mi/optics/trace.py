@@ -274,8 +274,8 @@ def tube_at_end(step: Step) -> tuple[np.ndarray, np.ndarray]:
 class Caustics:
     """Focal lines that n rays touch, counted from step to step of ``march``.
 
-    Where a surface lies a little behind the place that a ray comes from, which ``Interaction.slack`` allows, the ray goes
-    back to it and then forward past its own start: that point is no focus.
+    Where a surface lies a little behind the place that a ray comes from, which ``Interaction.slack`` allows, the ray
+    goes back to it and then forward past its own start: that point is no focus.
     """
 
     def __init__(self, n: int) -> None:

@@ -48,11 +48,12 @@ def cost_of(assembly: Assembly, channels: tuple[Channel, ...]) -> Cost:
     scatterers, pixels = expected_scatterers(assembly), assembly.detector.size
     seconds, memory = 0.0, 40.0 * pixels + 80.0 * scatterers
     for channel in channels:
-        counts = [scatterers, *(estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt)
-                                for rim, gradient in zip(channel.openings, channel.gradients, strict=True)), pixels]  # fmt: skip
+        openings = zip(channel.openings, channel.gradients, strict=True)
+        nodes = [estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) for rim, gradient in openings]
+        counts = [scatterers, *nodes, pixels]
         for number, (sources, points) in enumerate(zip(counts[:-1], counts[1:], strict=True)):
             seconds += _leg_seconds(sources, points, bool(channel.leg(number)))
-        memory += NODE_BYTES * sum(counts[1:-1])
+        memory += NODE_BYTES * sum(nodes)
     return Cost(assembly.sub_pixels**2 * seconds, memory)
 
 
@@ -81,6 +82,6 @@ def require_affordable(cost: Cost, force: bool) -> None:
         raise InputError(f"a frame would {too_much}: put a smaller opening, a larger tolerance or fewer pixels")
     if cost.seconds > LONG and not force:
         raise InputError(
-            f"a frame would take {cost}, more than {duration(LONG)}: --force begins it all the same; a smaller opening, "
-            "a larger tolerance, fewer pixels or scatterers make it shorter"
+            f"a frame would take {cost}, more than {duration(LONG)}: --force begins it all the same; a smaller "
+            "opening, a larger tolerance, fewer pixels or scatterers make it shorter"
         )

@@ -1,9 +1,9 @@
 """At which edges light is diffracted, and how strong the waves of those are that are left out.
 
-Between the spot, the openings that are diffracted at and the detector lie the rims of all other elements. The light keeps
-off a rim by a Fresnel parameter v = d sqrt(2 / (lambda L)), d the distance of a ray from it and 1/L the curvature there of
-the path over it: the wave of a straight edge is 1/(pi sqrt(2) v) of the field. A rim whose wave counts is diffracted at
-where the integral over it is affordable; else the wave is stated as an error of the field.
+Between the spot, the openings that are diffracted at and the detector lie the rims of all other elements. The light
+keeps off a rim by a Fresnel parameter v = d sqrt(2 / (lambda L)), d the distance of a ray from it and 1/L the curvature
+there of the path over it: the wave of a straight edge is 1/(pi sqrt(2) v) of the field. A rim whose wave counts is
+diffracted at where the integral over it is affordable; else the wave is stated as an error of the field.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _STEP = 1e-2
 
 @dataclass(frozen=True)
 class EdgeWave:
-    """rim; v: smallest Fresnel parameter, negative where rays lie outside; wave: on the detector, relative to the field."""
+    """Of a rim: v, smallest Fresnel parameter, negative where rays lie outside; wave on the detector over the field."""
 
     rim: Rim
     v: float
@@ -89,7 +89,7 @@ def _twin(chosen: list[Rim], rim: Rim) -> Rim | None:
 
 
 def _between_rims(setup: Setup, channel: Channel, rim: Rim, twin: Rim) -> EdgeWave:
-    """What the second rim of a glass does to light that the first has cut: along a seam of the width s = sqrt(lambda t / 2).
+    """What the second rim of a glass does to light that the first has cut, along a seam of width s = sqrt(lambda t/2).
 
     t is the distance of the two. Of the field in the pupil that is about a third of the root of the seam's share of the
     area; it spreads over angles of lambda/s, of which the detector takes its part. The rim casts a geometric shadow.
@@ -157,8 +157,12 @@ def phase_gradient(
     """
     samples = hole_places(rim.plane, *FINE)
     leading, trailing, end = _pieces(channel, rim, before, after)
-    coming = aim(Sequence((*leading, rim.end)), np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0))
-    going = aim(Sequence((*trailing, end)), np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1)))
+    coming = aim(
+        Sequence((*leading, rim.end)), np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0)
+    )
+    going = aim(
+        Sequence((*trailing, end)), np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1))
+    )
     tangents = rim.plane.frame.axes[:, :2]
     k = 2 * np.pi * rim.index / wavelength
     arriving = k * (coming.arrival @ tangents).reshape(len(samples), -1, 1, 2)
@@ -233,7 +237,10 @@ def _edge_wave(
     sources, targets = _ends(channel, before, spots), _ends(channel, after, None)
     leading, trailing, end = _pieces(channel, rim, before, after)
     for places, between in ((sources, leading), (targets, trailing)):
-        if all(_lies_in(rim, one) for one in between) and np.abs(rim.plane.frame.to_local(places)[:, 2]).max() < _IN_PLANE:
+        if (
+            all(_lies_in(rim, one) for one in between)
+            and np.abs(rim.plane.frame.to_local(places)[:, 2]).max() < _IN_PLANE
+        ):
             return EdgeWave(rim, np.inf, 0.0)
     starts, ends = np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
     aimed = aim(Sequence((*leading, *trailing, end)), starts, ends)
@@ -268,11 +275,12 @@ def _lies_in(rim: Rim, interaction: Interaction) -> bool:
 def _waves(outline, x: np.ndarray, y: np.ndarray, scale: float, bend: float) -> np.ndarray:
     """Strength (n,) of a rim's wave for rays through (x, y), relative to the light they carry.
 
-    scale: v per distance [1/mm]; bend: second derivative of the phase over the rim's plane [rad/mm^2]. Of a rectangle the
-    waves of its four sides; of a circle that of the nearest part, or of all parts together, J0(bend R r), whichever is
-    larger.
+    scale: v per distance [1/mm]; bend: second derivative of the phase over the rim's plane [rad/mm^2]. Of a rectangle
+    the waves of its four sides; of a circle that of the nearest part, or of all parts together, J0(bend R r), whichever
+    is larger.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
+
         def straight(distance: np.ndarray) -> np.ndarray:
             return np.where(distance > 0, 1 / (np.pi * np.sqrt(2) * scale * distance), 1.0)
 
@@ -287,14 +295,14 @@ def _waves(outline, x: np.ndarray, y: np.ndarray, scale: float, bend: float) -> 
 
 
 def _share_coming(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots: np.ndarray) -> float:
-    """How strong the light is at a rim behind an opening: where the straight light keeps off it, what the edge throws there.
+    """How strong light is at a rim behind an opening: off the straight light, as much as the edge throws there.
 
-    That is 1/(pi sqrt(2) v) of the light in the opening, v = x sqrt(2 / (lambda L)) for the distance x of the rim from the
-    light and L to the opening.
+    That is 1/(pi sqrt(2) v) of the light in the opening, v = x sqrt(2 / (lambda L)) for the distance x of the rim from
+    the light and L to the opening.
     """
     if before is None:
         return 1.0
-    holes = hole_places(before.plane, _HOLE_SHARES, _HOLE_ANGLES)
+    holes = hole_places(before.plane, (0.0, 1.0), 6)
     starts, ends = np.repeat(spots, len(holes), axis=0), np.tile(holes, (len(spots), 1))
     aimed = aim(Sequence((*powers(channel, 0, before.position), before.end)), starts, ends)
     good = aimed.converged
@@ -307,21 +315,23 @@ def _share_coming(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, 
         return 1.0
     x, y, _ = rim.plane.frame.to_local(hits).T
     length = float(np.linalg.norm(rim.plane.frame.origin - before.plane.frame.origin))
-    v = float(np.min(rim.plane.outline.clearance(x, y))) * np.sqrt(2 / (setup.assembly.beam.wavelength * max(length, 1e-9)))
+    v = float(np.min(rim.plane.outline.clearance(x, y))) * np.sqrt(
+        2 / (setup.assembly.beam.wavelength * max(length, 1e-9))
+    )
     return float(min(1.0, 1 / (np.pi * np.sqrt(2) * v))) if v > 0 else 1.0
 
 
 def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None) -> float:
-    """What of a rim's wave goes on from the next opening to the detector: all of it, or only what its edge throws there.
+    """What of a rim's wave goes on from the next opening to the detector: all, or what the edge throws there.
 
-    A wave from the rim comes to the opening from aside and leaves it to the other side: where that misses the detector by
-    a distance x, the opening's own edge throws 1/(pi sqrt(2) v) of it there, v = x sqrt(2 / (lambda L)).
+    A wave from the rim comes to the opening from aside and leaves it to the other side: where that misses the detector
+    by a distance x, the opening's own edge throws 1/(pi sqrt(2) v) of it there, v = x sqrt(2 / (lambda L)).
     """
     if after is None:
         return 1.0
     _, trailing, _ = _pieces(channel, rim, None, after)
     behind = powers(channel, after.position, len(channel.interactions))
-    points, holes = _rim_points(rim, 16), hole_places(after.plane, _HOLE_SHARES, _HOLE_ANGLES)
+    points, holes = _rim_points(rim, 8), hole_places(after.plane, (0.0, 1.0), 4)
     starts, ends = np.repeat(points, len(holes), axis=0), np.tile(holes, (len(points), 1))
     aimed = aim(Sequence((*trailing, after.end)), starts, ends)
     good = aimed.converged

@@ -30,8 +30,8 @@ AIR = -1
 class Met:
     """What n rays meet next.
 
-    distance: (n,) [mm], inf for nothing; thing: (n,) index into ``Meetings.things``; root: (n,) which of the two crossings
-    of a closed face it is, 0 the nearer one along the line.
+    distance: (n,) [mm], inf for nothing; thing: (n,) index into ``Meetings.things``; root: (n,) which of the two
+    crossings of a closed face it is, 0 the nearer one along the line.
     """
 
     distance: np.ndarray
@@ -85,9 +85,7 @@ class Meetings:
         distance, _ = detector_crossing(self.detector, places, directions)
         return bool(np.any(np.isfinite(distance) & (distance > 0)))
 
-    def next(
-        self, origin: np.ndarray, direction: np.ndarray, inside: int, left: tuple[int, int] | None
-    ) -> Met:
+    def next(self, origin: np.ndarray, direction: np.ndarray, inside: int, left: tuple[int, int] | None) -> Met:
         """What rays from origins (n, 3) along unit directions (n, 3) meet next.
 
         inside: number of the glass that all are in, or ``AIR``; left: element and face that they have just left.
@@ -178,9 +176,7 @@ def screen_crossing(
     return np.where(np.isfinite(distance), distance, np.inf), hole, screen & ~hole
 
 
-def detector_crossing(
-    grid: PlaneGrid, origin: np.ndarray, direction: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def detector_crossing(grid: PlaneGrid, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distance (n,) [mm] to the detector's plane along rays that come from its front, else inf; whether in its area."""
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = direction @ grid.normal
@@ -198,6 +194,7 @@ def stands_between(element: Element, start: np.ndarray, direction: np.ndarray, d
     start, direction: (n, 3), directions of unit length; distance: (n,) [mm] to the other end. A segment through a hole
     counts, too: that is a way of its own.
     """
+
     def within(length: np.ndarray) -> np.ndarray:
         return (length > COINCIDENT) & (length < distance - COINCIDENT)
 

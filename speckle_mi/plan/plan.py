@@ -43,7 +43,7 @@ from .stage import (
     WAY,
     Stage,
 )
-from .strength import Strength, strength_of
+from .strength import Strength, reached_share, strength_of
 from .way import Channel, Rim, rims_of, with_slack
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
@@ -87,7 +87,8 @@ def make_plan(setup: Setup) -> Plan:
     """
     if not setup.assembly.elements:
         free = Channel(Route((), (), 0), (), setup.assembly.detector, (), (), ())
-        return Plan((free,), (Stage(FREE_SPACE, reason="nothing stands between target and detector, no ray is launched"),))
+        nothing = "nothing stands between target and detector, no ray is launched"
+        return Plan((free,), (Stage(FREE_SPACE, reason=nothing),))
     spots = spot_samples(setup)
     arrivals = find_routes(setup, spots)
     blocker = _main_blocker(arrivals.stopped)
@@ -106,18 +107,29 @@ def make_plan(setup: Setup) -> Plan:
     return Plan(channels, tuple(stages), warnings)
 
 
+def _is_devious(channel: Channel) -> bool:
+    """Whether light is totally reflected inside a glass on a way, which nobody builds a sensor on."""
+    return any(step[2] == "reflect" and i.index_before != 1.0
+               for step, i in zip(channel.route.steps, channel.route.interactions, strict=True))  # fmt: skip
+
+
 def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:
     """The ways that count beside those of straight light, and stages that say what the others amount to.
 
-    A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the detector,
-    where no diffraction is asked for, or where its integral is not affordable.
+    A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the
+    detector, where no diffraction is asked for, or where its integral is not affordable; light that is totally
+    reflected inside a glass, as along the inside of a plate, beside light that is not.
     """
     options = setup.assembly.options
     straight = max(strength.amplitude for strength in strengths if strength.lit)
+    plain = any(strength.lit and not _is_devious(one) for one, strength in zip(bare, strengths, strict=True))
     kept, stages = [], []
     for channel, strength in zip(bare, strengths, strict=True):
         share = strength.share * strength.amplitude / straight
-        if strength.lit:
+        if plain and _is_devious(channel):
+            share *= reached_share(channel, spot_samples(setup))
+            stages.append(Stage(OTHER_WAY, way=channel.route.label, predicted_error=share))
+        elif strength.lit:
             kept.append(channel)
         elif options.diffraction and options.method != "rays":
             if share > SHARE * options.tolerance and all_affordable(setup, channel, spot_samples(setup)):
@@ -170,15 +182,16 @@ def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
         return phase_gradients(channel, spot_samples(setup), setup.assembly.beam.wavelength)
     except InputError as error:
         raise SceneError(
-            f"way {channel.route.label}: {error}; put a smaller stop, or set diffraction to false where there is no focus"
+            f"way {channel.route.label}: {error}; "
+            "put a smaller stop, or set diffraction to false where there is no focus"
         ) from None
 
 
 def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Stage]:
     """A stage on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
 
-    A shape that cuts the light of a way without openings casts its geometric shadow, and the wave of its edge is stated.
-    Raises SceneError where one cuts the light on its way to an opening.
+    A shape that cuts the light of a way without openings casts its geometric shadow, and the wave of its edge is
+    stated. Raises SceneError where one cuts the light on its way to an opening.
     """
     wave = 1.0
     if channel.openings:
@@ -262,7 +275,8 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
             f"the nearest edge, of {left.rim.name}, is clear of the light "
             f"(the edges' waves are at most about {total:.1%} of the field)"
         )
-        stages.append(Stage(NOT_DIFFRACTED if not chosen else CLEAR, (left.rim.name,), reason=reason, predicted_error=total))
+        kind = CLEAR if chosen else NOT_DIFFRACTED
+        stages.append(Stage(kind, (left.rim.name,), reason=reason, predicted_error=total))
     elif not chosen:
         stages.append(Stage(NOT_DIFFRACTED, reason="no edge lies in the light"))
     return chosen, stages

@@ -1,9 +1,9 @@
 """Planes between a place and its image, where a path from the one to the other does not exist.
 
-Where the detector lies near the image of a stop, many rays lead from each point of the stop to one pixel, or none: no path
-length is a smooth function of the two. From the stop to the lens between them, and from there to the detector, it is. The
-light is summed on a window in the lens's plane first: a diffraction integral like that over an opening, of nothing that
-stands in the way.
+Where the detector lies near the image of a stop, many rays lead from each point of the stop to one pixel, or none: no
+path length is a smooth function of the two. From the stop to the lens between them, and from there to the detector, it
+is. The light is summed on a window in the lens's plane first: a diffraction integral like that over an opening, of
+nothing that stands in the way.
 """
 
 from __future__ import annotations
@@ -93,7 +93,6 @@ def _is_singular(channel: Channel, before: Rim | None, after: Rim | None, spots:
     sources = hole_places(before.plane, *_RINGS) if before else spots
     targets = hole_places(after.plane, *_RINGS) if after else detector_places(channel.grid)
     end = after.end if after else detector_plane(channel.grid)
-    between = tuple(replace(i, surface=replace(i.surface, outline=None)) for i in between)
     starts, ends = np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
     aimed = aim(Sequence((*between, end)), starts, ends)
     if not np.all(aimed.converged):
@@ -102,7 +101,7 @@ def _is_singular(channel: Channel, before: Rim | None, after: Rim | None, spots:
 
 
 def _window(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots: np.ndarray) -> Rim | None:
-    """A round window in a rim's plane around the straight light from an opening, or the whole rim for light from the spot."""
+    """A round window in a rim's plane around the straight light from an opening; for light from the spot, the rim."""
     if before is None:
         return rim
     holes = hole_places(before.plane, *_RINGS)

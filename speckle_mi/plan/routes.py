@@ -1,7 +1,7 @@
 """The ways that light takes from the target to the detector: sequences of faces and openings.
 
-Between the spot, the openings and the detector :mod:`speckle_mi.plan.search` finds the ways over faces; a route is a path
-over them from the spot to the detector.
+Between the spot, the openings and the detector :mod:`speckle_mi.plan.search` finds the ways over faces; a route is a
+path over them from the spot to the detector.
 """
 
 from __future__ import annotations
@@ -25,7 +25,6 @@ _HOLE_SHARES = (0.0, 0.5, 0.95)
 """Rings on an opening, relative to its rim, from which light goes on."""
 
 _HOLE_ANGLES = 6
-
 
 
 @dataclass(frozen=True)
@@ -63,8 +62,8 @@ class Arrivals:
 def find_routes(setup: Setup, spots: np.ndarray) -> Arrivals:
     """The routes from the spot to the detector's area.
 
-    spots: (m, 3) places that stand for all that scatters, the middle first. Where there is no route, those that pass the
-    detector's area by are given: diffraction at the rims on them may still reach it.
+    spots: (m, 3) places that stand for all that scatters, the middle first. Where there is no route, those that pass
+    the detector's area by are given: diffraction at the rims on them may still reach it.
     """
     paths = _Paths(Meetings(setup), spots, _front(setup))
     routes = [_route(setup, path) for path in paths.to_detector()]

@@ -20,7 +20,7 @@ from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings
-from .places import axes_along, on_face, on_pixels, on_plane
+from .places import axes_along, on_face, on_pixels, on_plane, with_places
 from .unfolding import launch_over_planes
 
 MAX_INTERACTIONS = 32
@@ -32,6 +32,9 @@ MOST_SEQUENCES = 400
 MOST_REFLECTIONS = 1
 """Reflections one after the other at the inside of one closed mirror."""
 
+MOST_TOTAL = 3
+"""Total reflections one after the other inside a glass that are followed."""
+
 RAYS_KEPT = 64
 """Rays of a sequence that are kept to aim from."""
 
@@ -41,7 +44,9 @@ _ACROSS = 7
 _AIMED = 3
 """Rounds in which the middle of a narrow way is closed in on."""
 
-_SPREAD = np.array([[0, 0], [0.7, 0], [-0.7, 0], [0, 0.7], [0, -0.7], [0.5, 0.5], [-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]])
+_SPREAD = np.array(
+    [[0, 0], [0.7, 0], [-0.7, 0], [0, 0.7], [0, -0.7], [0.5, 0.5], [-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]
+)
 """Places on a face, in half sizes, that are aimed at."""
 
 Step = tuple[int, int, str, str]
@@ -111,7 +116,8 @@ class _Sequence:
 class Search:
     """Everything that light from one start can do up to the next opening or the detector.
 
-    chains: the ways found; stopped: how many rays each element ended; beside: sequences whose rays pass the detector by.
+    chains: the ways found; stopped: how many rays each element ended; beside: sequences whose rays pass the detector
+    by.
     """
 
     def __init__(self, meetings: Meetings, start: Start) -> None:
@@ -132,14 +138,14 @@ class Search:
         for (steps, end, side), rays in self._arrived.items():
             sequence = self._sequences[steps]
             starts, launches = (np.concatenate(part) for part in zip(*rays, strict=True))
-            interactions = _with_places(sequence.interactions, starts, launches)
+            interactions = with_places(sequence.interactions, starts, launches)
             found.append(Chain(steps, interactions, end, side, sequence.inside, starts, launches))
         return sorted(found, key=lambda chain: -chain.rays)
 
     def beside(self) -> list[Chain]:
         """Ways over at least one face on which rays cross the detector's plane beside its area."""
         return [
-            Chain(s.steps, _with_places(s.interactions, *self._rays_of(s)), None, 0, s.inside, *self._rays_of(s))
+            Chain(s.steps, with_places(s.interactions, *self._rays_of(s)), None, 0, s.inside, *self._rays_of(s))
             for s in self._sequences.values()
             if s.passes_detector and s.steps
         ]
@@ -206,7 +212,9 @@ class Search:
             interaction = replace(interaction, index_after=self._meetings.elements[partner[0]].index)
         result = trace(Sequence((interaction,)), places, directions)
         total = result.status == RayStatus.TOTAL_INTERNAL_REFLECTION
-        good = result.valid & (np.abs(result.optical_path_length / interaction.index_before - distance) < 1e3 * COINCIDENT)
+        good = result.valid & (
+            np.abs(result.optical_path_length / interaction.index_before - distance) < 1e3 * COINCIDENT
+        )
         self.stopped[element.name] += int(np.count_nonzero(~good & ~total))
         if interaction.action == "reflect":
             inside = sequence.inside
@@ -234,14 +242,18 @@ class Search:
         local, along = surface.frame.to_local(places).T, (directions @ surface.frame.axes).T
         length, _ = surface.intersect(local, along, interaction.root)
         agree = np.abs(length - distance) < 1e3 * COINCIDENT
-        return interaction if 2 * np.count_nonzero(agree) >= len(agree) else replace(interaction, root=("near", "far")[root])
+        return (
+            interaction
+            if 2 * np.count_nonzero(agree) >= len(agree)
+            else replace(interaction, root=("near", "far")[root])
+        )
 
     def _sequence_of(self, steps, interactions, inside: int, left) -> _Sequence | None:
         """The sequence of these steps; None where it is not looked into any more."""
         if steps not in self._sequences:
             if len(self._sequences) >= MOST_SEQUENCES or len(steps) >= MAX_INTERACTIONS:
                 return None
-            if len(steps) > MOST_REFLECTIONS and self._bounces(steps):
+            if self._bounces(steps) or self._is_trapped(steps, interactions):
                 return None
             self._sequences[steps] = _Sequence(steps, interactions, inside, left)
             self._waiting.append(self._sequences[steps])
@@ -249,9 +261,18 @@ class Search:
 
     def _bounces(self, steps: tuple[Step, ...]) -> bool:
         """Whether light goes to and fro inside one closed mirror."""
+        if len(steps) <= MOST_REFLECTIONS:
+            return False
         number, *_ = steps[-1]
         closed = self._meetings.elements[number].closed and self._meetings.elements[number].kind == "mirror"
         return closed and all(step[0] == number for step in steps[-MOST_REFLECTIONS - 1 :])
+
+    @staticmethod
+    def _is_trapped(steps: tuple[Step, ...], interactions: tuple[Interaction, ...]) -> bool:
+        """Whether light has been totally reflected inside a glass more often than is followed."""
+        last = list(zip(steps, interactions, strict=True))[-MOST_TOTAL - 1 :]
+        total = [step[2] == "reflect" and interaction.index_before != 1.0 for step, interaction in last]
+        return len(last) > MOST_TOTAL and all(total)
 
     def _arrive(self, sequence: _Sequence, end: int | None, side: int, starts, launches) -> None:
         self._arrived.setdefault((sequence.steps, end, side), []).append((starts, launches))
@@ -324,7 +345,7 @@ class Search:
             centre = places[np.nanargmax(margin)]
 
     def _launches(self, sequence: _Sequence, plane: Surface, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Launch directions (k, 3) over a sequence to places (k, 3), and the least clearance of rims, NaN for no ray."""
+        """Launch directions (k, 3) over a sequence to places (k, 3), and the least clearance of rims, NaN: no ray."""
         starts, _ = self._rays_of(sequence)
         source = np.broadcast_to(starts[0], places.shape)
         margin = np.full(len(places), np.nan)
@@ -341,7 +362,7 @@ class Search:
         return launches, margin
 
     def _placed(self, sequence: _Sequence) -> tuple[Interaction, ...]:
-        return _with_places(sequence.interactions, *self._rays_of(sequence))
+        return with_places(sequence.interactions, *self._rays_of(sequence))
 
     def _index(self, sequence: _Sequence) -> float:
         return 1.0 if sequence.inside == AIR else self._meetings.elements[sequence.inside].index
@@ -364,19 +385,3 @@ class Search:
 def _mirror(interaction: Interaction) -> Interaction:
     """Total reflection inside the glass, at a face that light does not leave by."""
     return Interaction.reflect(interaction.surface, interaction.index_before, interaction.root)
-
-
-def _with_places(interactions: tuple[Interaction, ...], starts, launches) -> tuple[Interaction, ...]:
-    """Interactions that know where on their surfaces rays of their own meet them."""
-    if not interactions:
-        return ()
-    points = trace(Sequence(interactions), starts, launches).points
-    placed = []
-    for interaction, hits in zip(interactions, points, strict=True):
-        local = interaction.surface.frame.to_local(hits[np.all(np.isfinite(hits), axis=1)])
-        if len(local):
-            middle = local.mean(axis=0)
-            near = local[np.argmin(np.linalg.norm(local - middle, axis=1))]
-            interaction = replace(interaction, near=near)
-        placed.append(interaction)
-    return tuple(placed)

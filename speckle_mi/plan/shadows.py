@@ -237,7 +237,12 @@ class _Part:
         return unblocked(setup, self._touched, self._folded(setup, points), clear)
 
     def lit(
-        self, setup: Setup, sources: np.ndarray, grid: PlaneGrid, shape: tuple[int, int], rims: bool,
+        self,
+        setup: Setup,
+        sources: np.ndarray,
+        grid: PlaneGrid,
+        shape: tuple[int, int],
+        rims: bool,
         only: np.ndarray | None = None,
     ) -> Iterator[np.ndarray]:
         """Whether places of a detector are lit from each of sources (n, 3): bool of ``shape``, edge to edge pixel.

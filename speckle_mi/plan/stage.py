@@ -33,10 +33,10 @@ class Stage:
     """A step of a plan, or what a frame did for it.
 
     kind: one of the constants above; elements: ids of the shapes it is about, in order, or where a sum ends; way: the
-    way it belongs to; reason: why, where there is something to say; how: of a sum, what was chosen; nodes: on the opening
-    where a sum ends; count: rays a source, or side of the square of sub-pixels; rays: traced in all; share: of the pixels
-    (in shadow, or reached); predicted_error: of the field, known beforehand; error: measured, both relative L2; seconds:
-    it took.
+    way it belongs to; reason: why, where there is something to say; how: of a sum, what was chosen; nodes: on the
+    opening where a sum ends; count: rays a source, or side of the square of sub-pixels; rays: traced in all; share: of
+    the pixels (in shadow, or reached); predicted_error: of the field, known beforehand; error: measured, both relative
+    L2; seconds: it took.
     """
 
     kind: str
@@ -119,7 +119,7 @@ def in_words(stage: Stage) -> str:
                 f"left out: the wave of its edge (about {stage.predicted_error:.1%} of the field)"
             )
         case "other way":
-            return f"left out: {stage.way}, light that edges alone throw there (about {stage.predicted_error:.1e} of the field)"
+            return f"left out: {stage.way} (about {stage.predicted_error:.1e} of the field)"
         case "no way":
             return f"no way: no light reaches the detector, {stage.reason}"
         case "beside the detector":

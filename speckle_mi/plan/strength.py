@@ -14,16 +14,21 @@ from ..optics.trace import trace
 from .places import detector_places, hole_places
 from .routes import Route
 from .setup import Setup
+from .way import Channel
 
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 0.98), 8
+
+
+_SHARE_SIDE = 9
+"""Places a side on the detector at which is looked whether a way reaches them."""
 
 
 @dataclass(frozen=True)
 class Strength:
     """Of a way's light on the detector.
 
-    lit: whether straight light arrives in its area; share: amplitude of what arrives relative to straight light, 1 where
-    lit; amplitude: of straight light over its length [1/mm].
+    lit: whether straight light arrives in its area; share: amplitude of what arrives relative to straight light, 1
+    where lit; amplitude: of straight light over its length [1/mm].
     """
 
     lit: bool
@@ -34,8 +39,8 @@ class Strength:
 def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...], grid: PlaneGrid, spots) -> Strength:
     """How strong a way's light is; interactions, grid: the way with plane mirrors unfolded.
 
-    From one place to the next (spot, openings, detector) rays go straight on. Where they miss the next by a distance x, the
-    edge of the opening before throws 1/(pi sqrt(2) v) of them there, v = x sqrt(2 / (lambda L)).
+    From one place to the next (spot, openings, detector) rays go straight on. Where they miss the next by a distance x,
+    the edge of the opening before throws 1/(pi sqrt(2) v) of them there, v = x sqrt(2 / (lambda L)).
     """
     stops = [n for n, step in enumerate(route.steps) if step[2] == "pass"]
     share, places, start = 1.0, spots, 0
@@ -62,6 +67,18 @@ def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...
         if not len(places):
             places, directions = goals, None
     return Strength(share == 1.0, share, 1 / max(length, 1e-300))
+
+
+def reached_share(channel: Channel, spots: np.ndarray) -> float:
+    """Amplitude of a way's straight light on the whole detector, relative to light that reaches all of it.
+
+    spots: (m, 3) places that stand for the spot. The root of the share of the detector that it reaches.
+    """
+    places = detector_places(channel.grid, _SHARE_SIDE)
+    starts, ends = np.repeat(spots, len(places), axis=0), np.tile(places, (len(spots), 1))
+    aimed = aim(Sequence((*channel.interactions, detector_plane(channel.grid))), starts, ends)
+    reached = aimed.converged & np.all(aimed.margins >= 0, axis=0)
+    return float(np.sqrt(max(np.mean(reached), 0.5 / len(places))))
 
 
 def _hole(plane: Surface) -> np.ndarray:

@@ -56,7 +56,7 @@ class Tracer:
         return number, distance
 
     def nearest_target(self, origin: np.ndarray, direction: np.ndarray, frame: Frame) -> np.ndarray:
-        """Distance (n,) [mm] at which rays (n, 3) meet the target's mesh, which stands at ``frame``; inf for nothing."""
+        """Distance (n,) [mm] at which rays (n, 3) meet the target's mesh, which stands at ``frame``; inf: nothing."""
         scene, _ = self._scene((TARGET,))
         local = frame.to_local(origin)
         clear = off_surface(local)

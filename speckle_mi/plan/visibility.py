@@ -14,9 +14,8 @@ from .meeting import stands_between
 _NOTICEABLE = 1e-3
 """Share of the power above which scatterers that only part of the detector sees are worth a warning."""
 
-def visible_scatterers(
-    setup: Setup, lit: Scatterers, viewpoints: list[np.ndarray]
-) -> tuple[Scatterers, str]:
+
+def visible_scatterers(setup: Setup, lit: Scatterers, viewpoints: list[np.ndarray]) -> tuple[Scatterers, str]:
     """The scatterers that the laser and one of the viewpoints (3,) see, and a warning or an empty text.
 
     A viewpoint is where light goes first: an element, or the detector's centre. A bare detector sees only what lies in
@@ -29,8 +28,8 @@ def visible_scatterers(
         faces = _faces(lit, viewpoint)
         seen |= faces if setup.assembly.target.is_flat else faces & _unshaded(setup, lit, viewpoint)
     if not setup.assembly.elements:
-        # Through elements the light's last way is another: the routes know its side.
-        seen &= lit.position @ setup.assembly.detector.normal > setup.assembly.detector.centre @ setup.assembly.detector.normal
+        # Through elements the light's last way is another: the routes know its side. seen &= lit.position @
+        setup.assembly.detector.normal > setup.assembly.detector.centre @ setup.assembly.detector.normal
     note = "" if np.any(seen) else "no light: the detector sees none of the lit surface at this pose, the field is zero"
     if not (free or setup.assembly.target.is_flat or setup.assembly.elements) and np.any(seen):
         note = _note_of_horizon(setup, lit, seen)
@@ -123,9 +122,7 @@ def _segment_free(setup: Setup, one: int, two: int, start: np.ndarray, end: np.n
     return free
 
 
-def _beside(
-    setup: Setup, one: int, two: int, start: np.ndarray, end: np.ndarray, clear: float = 0.0
-) -> list[int]:
+def _beside(setup: Setup, one: int, two: int, start: np.ndarray, end: np.ndarray, clear: float = 0.0) -> list[int]:
     """Numbers of what lies in the box around segments from start to end (n, 3) but at neither end."""
     low, high = np.fmin.reduce(np.fmin(start, end)), np.fmax.reduce(np.fmax(start, end))
     bounds = {n: element.body.bounds for n, element in enumerate(setup.assembly.elements) if n not in (one, two)}

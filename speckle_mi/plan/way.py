@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,9 +64,10 @@ class Channel:
     """One route with everything that its field is computed from.
 
     interactions: with plane mirrors unfolded; grid: the detector as seen through them; openings: where the light is
-    diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted;
-    stages: what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are not diffracted at amount to, relative to the
-    field; hidden: pixels (rows, columns) that something hides from a part of the last opening.
+    diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted; stages:
+    what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are
+    not diffracted at amount to, relative to the field; hidden: pixels (rows, columns) that something hides from a part
+    of the last opening.
     """
 
     route: Route
@@ -96,8 +98,13 @@ class Channel:
 
 
 def powers(channel: Channel, first: int, last: int) -> tuple[Interaction, ...]:
-    """The refracting and reflecting interactions in part of a way."""
-    return tuple(i for i in channel.interactions[first:last] if i.action != "pass")
+    """The refracting and reflecting interactions in part of a way, as if their surfaces went on beyond their rims."""
+    return without_rims(i for i in channel.interactions[first:last] if i.action != "pass")
+
+
+def without_rims(interactions: Iterable[Interaction]) -> tuple[Interaction, ...]:
+    """Interactions at surfaces that go on beyond their rims: where rims have their own say, paths need none."""
+    return tuple(replace(i, surface=replace(i.surface, outline=None)) for i in interactions)
 
 
 def with_slack(interactions: tuple[Interaction, ...]) -> tuple[Interaction, ...]:

@@ -90,8 +90,8 @@ class How:
 
     kind: which way; points: of the target; pairs: of source and point; nodes: (along u, along v) where the field is
     interpolated from nodes; ranks: smallest and largest of the expansions of ``parts`` parts of the spot; why: see
-    ``ASKED`` and so on; slower: kinds that were predicted to take longer; missed: kinds that were tried before, each with
-    the error it had; tolerance: what had to be kept; predicted_seconds: None where nobody asked.
+    ``ASKED`` and so on; slower: kinds that were predicted to take longer; missed: kinds that were tried before, each
+    with the error it had; tolerance: what had to be kept; predicted_seconds: None where nobody asked.
     """
 
     kind: str

@@ -159,7 +159,8 @@ class SurfaceScatterers:
         if len(cells.facet) == 1:
             self.row, block = None, lane
         else:
-            self.row = lanes.UInt32(np.repeat(np.arange(len(cells.facet), dtype=np.uint32), np.prod(cells.size, axis=1)))
+            rows = np.repeat(np.arange(len(cells.facet), dtype=np.uint32), np.prod(cells.size, axis=1))
+            self.row = lanes.UInt32(rows)
             block = lane - self.of_row(cells.start.astype(np.uint32), lanes.UInt32)
         width = self.of_row(cells.size[:, 0].astype(np.float64))
         # An integer division would trap in the padding lanes of the last packet, whose divisor is zero.
@@ -190,7 +191,8 @@ class SurfaceScatterers:
         return PlacedScatterers(self, frame)
 
     def to_numpy(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Who they are (n, 3): facet and cell along its e1 and e2; place (n, 3) on the mean surface and height (n,) [mm].
+        """Who they are (n, 3): facet and cell along its e1 and e2; place (n, 3) on the mean surface and height (n,)
+        [mm].
 
         Those whose place lies on their facet.
         """

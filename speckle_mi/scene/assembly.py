@@ -40,8 +40,8 @@ class Target:
     """The rough target at rest.
 
     frame: its place; surface or points: what scatters; body: its mesh, in its own frame; lobe: the BSDF that shapes its
-    radiation, as ``mi.load_dict`` takes it, None for even radiation; point_sources: what the scene asked for; where: how
-    messages call it.
+    radiation, as ``mi.load_dict`` takes it, None for even radiation; point_sources: what the scene asked for; where:
+    how messages call it.
     """
 
     frame: Frame

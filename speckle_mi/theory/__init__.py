@@ -1,4 +1,4 @@
-"""Closed forms that results are compared with: displacement, decorrelation, statistics of the pattern, paraxial optics."""
+"""Closed forms that results are compared with: displacement, decorrelation, speckle statistics, paraxial optics."""
 
 from .decorrelation import (
     beam_displacement_of_material,

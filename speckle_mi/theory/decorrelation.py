@@ -38,7 +38,8 @@ def decorrelation_axial(
 
     b = (k w^2 a_z/4)(1/L_O^2 + 1/L_S^2): the paths' curvature changes across the Gaussian spot of radius w. All [mm].
     """
-    curvature = 1 / require_positive("detector_distance", detector_distance) ** 2 + wave_curvature(wavefront_radius) ** 2
+    distance = require_positive("detector_distance", detector_distance)
+    curvature = 1 / distance**2 + wave_curvature(wavefront_radius) ** 2
     wavenumber = 2 * np.pi / require_positive("wavelength", wavelength)
     phase = (
         wavenumber * require_positive("beam_radius", beam_radius) ** 2 / 4 * np.asarray(motion, np.float64) * curvature

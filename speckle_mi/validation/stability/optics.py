@@ -19,6 +19,9 @@ ASPHERE_TOLERANCE = 1e-6
 THICK = {"radius1": 50.0, "radius2": -50.0, "thickness": 5.0, "diameter": 20.0, "ior": 1.5151}
 """Biconvex lens, f = 49.37 mm."""
 
+BARE_LENS = 0.05
+"""Largest error that a lens whose two rims are one pupil may state."""
+
 _PIXEL = {"width": 1, "height": 1}
 _UNIFORM = {"beam_radius": np.inf, "wavefront_radius": np.inf}
 
@@ -190,11 +193,10 @@ def foci_without_a_stop(quick: bool):
         elements=(ball, aperture(10.0, radius=0.4, outer_radius=5.0)), integrator={"diffraction": False}
     )
     yield declined("caustic", "geometric light of a ball lens in its focus", stopped.frame, "focus", "diffraction")
-    _, frame, _ = _of_a_point(Bench(detector_distance=199.1, detector=near, elements=(lens(97.0685, **THICK),)))
-    message, stated = "; ".join(frame.warnings), frame.numerical_error
-    told = stated > TOLERANCE and "of lens" in message
-    quantity = "lens without a stop, detector in its focus: rims of equal size, only one diffracts [stated error]"
-    yield Check("caustic", quantity, stated, "told", 0.0, 0.0, LIMIT if told else BROKEN, message or "no warning")
+    bare = Bench(detector_distance=199.1, detector=near, elements=(lens(97.0685, **THICK),)).frame()
+    light = float(np.sum(bare.image.intensity))
+    stated = bare.numerical_error if light > 0 else np.inf
+    yield within("caustic", "lens whose own rim is the stop, detector in its focus", light, "light", stated, BARE_LENS)
 
 
 def caustic_of_a_ball_lens(quick: bool):
