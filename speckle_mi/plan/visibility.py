@@ -28,8 +28,9 @@ def visible_scatterers(setup: Setup, lit: Scatterers, viewpoints: list[np.ndarra
         faces = _faces(lit, viewpoint)
         seen |= faces if setup.assembly.target.is_flat else faces & _unshaded(setup, lit, viewpoint)
     if not setup.assembly.elements:
-        # Through elements the light's last way is another: the routes know its side. seen &= lit.position @
-        setup.assembly.detector.normal > setup.assembly.detector.centre @ setup.assembly.detector.normal
+        # Through elements the light's last way is another: the routes know its side.
+        normal, centre = setup.assembly.detector.normal, setup.assembly.detector.centre
+        seen &= lit.position @ normal > centre @ normal
     note = "" if np.any(seen) else "no light: the detector sees none of the lit surface at this pose, the field is zero"
     if not (free or setup.assembly.target.is_flat or setup.assembly.elements) and np.any(seen):
         note = _note_of_horizon(setup, lit, seen)
