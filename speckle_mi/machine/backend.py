@@ -24,6 +24,8 @@ def set_variant(name: str = DEFAULT_VARIANT) -> None:
         try:
             mi.set_variant(name)
         except ImportError:
+            if not name.startswith("cuda"):
+                raise
             there = ", ".join(variant for variant in usable if not variant.startswith("cuda"))
             raise InputError(f"variant {name!r}: finds no GPU with a driver here, must be one of {there}") from None
 

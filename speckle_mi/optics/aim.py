@@ -208,7 +208,8 @@ def _to_first_vertex(sequence: Sequence, source: np.ndarray, target: np.ndarray)
 def _fan(source: np.ndarray, target: np.ndarray, axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Directions (3, m n), m for each of n rays, m the slower index: ``axis``, straight, cones about the axis."""
     straight = target - source
-    straight = straight / np.maximum(np.sqrt(dot(straight, straight)), 1e-300)
+    straight = np.where(np.any(straight != 0.0, axis=0), straight, axis)
+    straight = straight / np.sqrt(dot(straight, straight))
     polar, azimuth = (mesh.reshape(-1, 1) for mesh in np.meshgrid(angles, np.arange(8) * (np.pi / 4)))
     e1, e2 = (e[:, None] for e in _transverse(axis))
     cones = np.cos(polar) * axis[:, None] + np.sin(polar) * (np.cos(azimuth) * e1 + np.sin(azimuth) * e2)

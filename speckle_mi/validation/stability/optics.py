@@ -178,7 +178,7 @@ def through_focus(quick: bool):
 
 
 def foci_without_a_stop(quick: bool):
-    """Geometric light is infinite in a focus: it is refused where nothing limits the light."""
+    """Geometric light is infinite in a focus: it is refused where nothing limits the light but a whole ball."""
     ball = _ball(6.5)
     near = {"width": 16, "height": 16, "pixel_pitch": 0.003}
     bench = Bench(laser_angle=45.0, laser={"beam_radius": 0.08}, detector_distance=20.2352, detector=near)
