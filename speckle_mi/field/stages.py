@@ -44,8 +44,12 @@ wave of an edge that is otherwise left out."""
 _FEW_PAIRS = 300_000
 """Pairs of scatterer and pixel below which their plain sum takes less time than the search for a better way."""
 
-_QUADRATURE_SHARE = 1e-3
-"""Part of the tolerance to which the integral over an opening is resolved: it converges fast, and costs little."""
+_DIM_SHARE = 0.5
+"""By how much more of itself the error of a sum counts for every further opening."""
+
+_QUADRATURE_SHARE, _QUADRATURE_SAFETY = 1e-5, 100.0
+"""Part of the tolerance to which the integral over an opening is resolved: it converges fast, and costs little; and by how
+much more its error may be where the next opening takes the dim part of its light alone."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +101,8 @@ def channel_field(
     if channel.hidden is not None:
         _require_dark(channel, values)
     stages += _sums(("the detector",), [(result.how, result.numerical_error)], began)
-    return _channel_field(channel, values, stages, quadrature * np.sqrt(len(channel.openings)))
+    uncertain = _QUADRATURE_SAFETY * quadrature * np.sqrt(len(channel.openings))
+    return _channel_field(channel, values, stages, uncertain)
 
 
 def _without_openings(
@@ -182,7 +187,9 @@ def _sums(
 
 def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage], quadrature: float = 0.0) -> ChannelField:
     """The whole of a channel; its error is that of the sums, of what is left out and of the quadrature together."""
-    parts = [*(stage.error for stage in stages), channel.left_out, quadrature]
+    # A further opening may take the dim part of the light before it, where an error weighs more.
+    dim = 1.0 + _DIM_SHARE * max(len(channel.openings) - 1, 0)
+    parts = [*(dim * stage.error for stage in stages), channel.left_out, quadrature]
     error = float(np.sqrt(np.sum(np.square(parts))))
     factor = amplitude_of(channel.interactions)
     values = values if factor == 1.0 else factor * values

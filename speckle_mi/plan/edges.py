@@ -33,7 +33,7 @@ AFFORDABLE_NODES = 200_000
 """Nodes up to which a rim that only touches the light is diffracted at."""
 
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
-_GRADIENT_SAFETY = 1.08
+_GRADIENT_SAFETY = 1.05
 """Factor on the sampled phase gradient, for what lies between the samples."""
 
 _RIM_POINTS = 48

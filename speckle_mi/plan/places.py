@@ -83,7 +83,9 @@ def axes_along(axis: np.ndarray) -> np.ndarray:
     return np.column_stack([*vectors_across(axis), axis])
 
 
-def with_places(interactions: tuple[Interaction, ...], starts: np.ndarray, launches: np.ndarray) -> tuple[Interaction, ...]:
+def with_places(
+    interactions: tuple[Interaction, ...], starts: np.ndarray, launches: np.ndarray
+) -> tuple[Interaction, ...]:
     """Interactions that know where on their surfaces rays of their own meet them."""
     if not interactions:
         return ()
