@@ -82,11 +82,13 @@ def _pages(text: str | None, count: int) -> list[int | None]:
 def _comparer(arguments) -> Callable[[str, int], dict]:
     """A function that compares the reference with a moved image, by its name and number."""
     # Not at the top: a command answers interrupts before it imports what takes time.
+    from .images.field_image import FieldImageError
     from .images.pictures import read_image
     from .images.placing import middle_offset, on_common_pixels
     from .machine.quiet import muted
     from .measurement.compare import Comparison, common_pitch
     from .measurement.correction import read_correction
+    from .measurement.covariance import checked_image
 
     def picture(name: str, page: int | None = None, channel: str | None = None):
         with muted():  # OpenEXR prints what is damaged in pictures of other programs, besides the error it raises
@@ -100,6 +102,10 @@ def _comparer(arguments) -> Callable[[str, int], dict]:
 
     def read(name: str, number: int):
         image = picture(name, pages[number], arguments.channel)
+        try:
+            checked_image(image.intensity, f"{name}, the {'moved' if number else 'reference'} image")
+        except InputError as error:  # of this file, so that one of several is a row that says so
+            raise FieldImageError(str(error)) from None
         return replace(image, intensity=correction.apply(image.intensity))
 
     reference = read(arguments.reference, 0)

@@ -213,6 +213,20 @@ def test_many_images_make_a_table_in_which_one_may_be_damaged(files, tmp_path, c
     assert float(rows[0]["shift_u_px"]) == pytest.approx(SHIFT[0], abs=0.01) and float(rows[1]["shift_u_px"]) == 0
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_image_with_pixels_that_are_no_numbers_is_a_row_that_names_it(files, tmp_path, speckle, capsys):
+    holed = speckle[1].astype(np.float32)
+    holed[3, 4:6] = np.inf, -np.inf
+    tifffile.imwrite(tmp_path / "n.tif", holed)
+    with pytest.raises(FieldImageError, match="n.tif, the moved image: 2 of"):
+        main([files[0], str(tmp_path / "n.tif")])
+    capsys.readouterr()
+    assert main([files[0], str(tmp_path / "n.tif"), files[1]]) == 2
+    rows = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert [row["status"] for row in rows] == ["unreadable", "ok"]
+    assert "n.tif, the moved image: 2 of" in rows[0]["message"]
+
+
 def test_images_of_unequal_size_share_their_first_pixel(files, tmp_path, speckle, capsys):
     tifffile.imwrite(tmp_path / "s.tif", speckle[1][:110, :100])
     assert main([files[0], str(tmp_path / "s.tif")]) == 0

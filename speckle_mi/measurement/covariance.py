@@ -43,7 +43,9 @@ def checked_image(image: np.ndarray, name: str = "image") -> np.ndarray:
     if np.iscomplexobj(array):
         raise InputError(f"{name}: complex pixels, give the intensity abs(field)**2")
     # One sum instead of a test a pixel: any NaN or infinity survives it.
-    if not np.isfinite(array.sum(dtype=np.float64)):
+    with np.errstate(invalid="ignore", over="ignore"):  # what is wrong is raised, not warned of as well
+        total = array.sum(dtype=np.float64)
+    if not np.isfinite(total):
         bad = array.size - int(np.isfinite(array).sum())
         if bad:
             raise InputError(f"{name}: {bad} of {array.size} pixels are NaN or infinite, all must be finite")
