@@ -94,7 +94,7 @@ def test_sum_keeps_its_tolerance(mitsuba, seed):
     exact = reference_sum(path, sources, weights, grid.points()[pick], wavelength)
     for method in ("auto", "fast"):
         result = coherent_sum(path, sources, weights, grid, wavelength, method, tolerance)
-        check(result.field.ravel()[pick], exact, tolerance, result.plan)
+        check(result.field.ravel()[pick], exact, tolerance, result.how)
 
 
 # Whole scenes with elements

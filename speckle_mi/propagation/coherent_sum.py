@@ -142,11 +142,6 @@ class SumResult:
     how: How
     numerical_error: float
 
-    @property
-    def plan(self) -> str:
-        """How the sum was done, in words."""
-        return str(self.how)
-
 
 @dataclass(frozen=True)
 class Candidate:
