@@ -242,11 +242,18 @@ class Subset:
 
 def _cell_sums(values: np.ndarray, cell: int, axis: int) -> np.ndarray:
     """Sums over cells of so many pixels along an axis; the last one may be smaller."""
-    values = np.pad(values, [(0, -n % cell if a == axis else 0) for a, n in enumerate(values.shape)])
-    rows, columns = values.shape
-    if axis == 0:
-        return values.reshape(rows // cell, cell, columns).sum(axis=1)
-    return values.reshape(rows, columns // cell, cell).sum(axis=2)
+    if cell == 1:
+        return values
+    return np.add.reduceat(values, np.arange(0, values.shape[axis], cell), axis)
+
+
+def _running_sums(values: np.ndarray, count: int, axis: int) -> np.ndarray:
+    """Sums over every run of ``count`` values along an axis, those that reach over its ends included."""
+    shape = tuple(n + count - 1 if a == axis else n for a, n in enumerate(values.shape))
+    sums = np.zeros(shape)
+    for start in range(count):
+        sums[(slice(None),) * axis + (slice(start, start + values.shape[axis]),)] += values
+    return sums
 
 
 def score_variance(gradients: list[np.ndarray], residual: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
@@ -261,13 +268,10 @@ def score_variance(gradients: list[np.ndarray], residual: np.ndarray, reach: tup
     sums = []
     for gradient in gradients:
         score = gradient * residual
-        for axis, (c, n) in enumerate(zip(cell, count)):
+        for axis, c in enumerate(cell):  # of both axes first, so that boxes slide over few numbers
             score = _cell_sums(score, c, axis)
-            score = np.pad(score, [(n - 1, n - 1) if a == axis else (0, 0) for a in (0, 1)])
-            running = np.cumsum(score, axis)
-            lead = np.moveaxis(running, axis, 0)
-            lead[n:] -= lead[:-n].copy()
-            score = np.moveaxis(lead[n - 1 :], 0, axis)
+        for axis, n in enumerate(count):
+            score = _running_sums(score, n, axis)
         sums.append(score)
     # The whole sum is zero where the iteration ends, which takes this share of the variance away.
     left = 1.0 - np.prod(box) / np.prod(residual.shape)
