@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import importlib.util
+import io
+import logging
+from collections.abc import Iterator
+
 import numpy as np
 from scipy import ndimage, optimize
 
@@ -92,19 +98,60 @@ def openpiv(reference: np.ndarray, moved: np.ndarray, window: int) -> tuple[floa
     return du + float(u[0, 0]), dv + float(v[0, 0])
 
 
+_MUDIC_PAD, _MUDIC_FRAME = 10, 14
+"""Pixels around the window that muDIC's solver wants, and with room to move [px]."""
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Without what muDIC prints and logs as it goes; it sets up the log of all when it is imported."""
+    root = logging.getLogger()
+    level, handlers, disabled = root.level, list(root.handlers), root.manager.disable
+    logging.disable(logging.CRITICAL)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            yield
+    finally:
+        logging.disable(disabled)
+        root.setLevel(level)
+        root.handlers[:] = handlers
+
+
+def mudic(reference: np.ndarray, moved: np.ndarray, window: int) -> tuple[float, float]:
+    """muDIC: one bilinear element as large as the window, on cubic splines; placed where the pattern went."""
+    with _silent():
+        import muDIC
+        from muDIC.IO.image_stack import image_stack_from_list
+
+        _, (top, left) = _middle(reference, window)
+        _, peak, origin = _surface(reference, moved, window)
+        dv, du = (int(d) for d in np.subtract(peak, origin))
+        side = window + 2 * _MUDIC_FRAME
+        frames = [
+            image[v - _MUDIC_FRAME :, u - _MUDIC_FRAME :][:side, :side]
+            for image, v, u in ((reference, top, left), (moved, top + dv, left + du))
+        ]
+        images = image_stack_from_list(frames)
+        ends = {"c1": _MUDIC_FRAME, "c2": _MUDIC_FRAME + window}
+        corners = {f"{axis}{end}": place for end, place in ends.items() for axis in "XY"}
+        mesh = muDIC.Mesher(deg_e=1, deg_n=1).mesh(images, n_elx=1, n_ely=1, GUI=False, **corners)
+        found = muDIC.DICAnalysis(muDIC.DICInput(mesh, images, ref_update_frames=[], pad=_MUDIC_PAD)).run()
+    u, v = (float(np.diff(nodes[:, :2], axis=1).mean()) for nodes in (found.xnodesT, found.ynodesT))
+    return du + u, dv + v
+
+
 PEERS = {
     "IC-GN": ic_gn,
     "interpolated NCC": interpolated_ncc,
     "scikit-image x100": scikit_image,
     "OpenPIV": openpiv,
+    "muDIC": mudic,
 }
+
+_PACKAGES = {"OpenPIV": "openpiv", "muDIC": "muDIC"}
+"""What peers need that this package does not depend on."""
 
 
 def installed() -> dict:
     """Peers that can be run here."""
-    found = dict(PEERS)
-    try:
-        import openpiv.pyprocess  # noqa: F401
-    except ImportError:
-        del found["OpenPIV"]
-    return found
+    return {name: peer for name, peer in PEERS.items() if importlib.util.find_spec(_PACKAGES.get(name, "numpy"))}
