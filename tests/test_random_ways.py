@@ -3,7 +3,8 @@
 ``pytest tests/test_random_ways.py`` judges SAMPLE scenes of the ENABLED kinds. ``python tests/test_random_ways.py``
 judges all 300 (or ``--kind``, ``--numbers``) and prints a table. A scene holds when the field on its compared pixels
 differs from the reference, one global phase removed, by no more than the stated ``numerical_error``, or what single
-precision stores, and the reference's own error. Refusals are failures but for a share of ALLOWED_REFUSALS.
+precision stores, and the reference's own error. The stated error is one of the whole frame's L2 norm, so the scale is
+the frame's root mean square, or that of the compared pixels where they are the brighter. Refusals are failures but for a share of ALLOWED_REFUSALS.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class Verdict:
 
 
 def field_on_pixels(path: Path, rows, columns):
-    """(field (m,), stated error, warnings) of a scene file as the command renders and stores it."""
+    """(field (m,), the frame's rms amplitude, stated error, warnings) of a scene as the command renders and stores it."""
     import OpenEXR
 
     from speckle_mi.render import main as render
@@ -72,14 +73,16 @@ def field_on_pixels(path: Path, rows, columns):
     render([str(path), "-o", output, "--quiet"])
     part = OpenEXR.File(output, separate_channels=True).parts[0]
     field = part.channels["E.re"].pixels + 1j * part.channels["E.im"].pixels.astype(complex)
-    return field[rows, columns], float(part.header["numerical_error"]), part.header.get("warnings", "")
+    rms = float(np.sqrt(np.mean(np.abs(field) ** 2)))
+    return field[rows, columns], rms, float(part.header["numerical_error"]), part.header.get("warnings", "")
 
 
-def relative_error(got, want):
-    """Relative L2 error with one global phase removed."""
+def relative_error(got, want, rms):
+    """Root mean square error with one global phase removed, relative to ``rms`` or to that of ``want`` if larger."""
     phase = np.vdot(want, got)
     phase = phase / abs(phase) if abs(phase) else 1.0
-    return float(np.linalg.norm(got / phase - want) / np.linalg.norm(want))
+    error, scale = (float(np.sqrt(np.mean(np.abs(x) ** 2))) for x in (got / phase - want, want))
+    return error / max(scale, rms)
 
 
 def judged(scene: random_ways.Scene, limit: float = 0.0) -> Verdict:
@@ -88,14 +91,14 @@ def judged(scene: random_ways.Scene, limit: float = 0.0) -> Verdict:
         path, start = scene.write(Path(folder)), time.perf_counter()
         try:
             with _no_longer_than(limit):
-                got, stated, warnings = field_on_pixels(path, scene.rows, scene.columns)
+                got, rms, stated, warnings = field_on_pixels(path, scene.rows, scene.columns)
         except TimeoutError:
             return Verdict(scene, "slow", np.nan, np.nan, time.perf_counter() - start, "")
         except (ValueError, RuntimeError) as refusal:
             words = " ".join(str(refusal).split()).replace(folder + "/", "")
             return Verdict(scene, "refused", np.nan, np.nan, time.perf_counter() - start, words)
     seconds = time.perf_counter() - start
-    error = relative_error(got, scene.field)
+    error = relative_error(got, scene.field, rms)
     if np.linalg.norm(got) < DARK * np.linalg.norm(scene.field):
         outcome = "dark"
     else:
