@@ -4,7 +4,8 @@
 judges all 300 (or ``--kind``, ``--numbers``) and prints a table. A scene holds when the field on its compared pixels
 differs from the reference, one global phase removed, by no more than the stated ``numerical_error``, or what single
 precision stores, and the reference's own error. The stated error is one of the whole frame's L2 norm, so the scale is
-the frame's root mean square, or that of the compared pixels where they are the brighter. Refusals are failures but for a share of ALLOWED_REFUSALS.
+the frame's root mean square, or that of the compared pixels where they are the brighter. Refusals are failures but for
+a share of ALLOWED_REFUSALS.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 import random_ways  # noqa: E402
 
 LEFT_TO_THE_COMMAND = ("curved_behind_stop", "two_ways_curved", "sphere_inside")
-"""Kinds whose reference leaves out light that the package finds: thrown past a mirror by a stop's edge alone, or sent to one
-pixel by several parts of a hollow sphere."""
+"""Kinds whose reference leaves out light that the package finds: thrown past a mirror by a stop's edge alone, or sent
+to one pixel by several parts of a hollow sphere."""
 
 ENABLED = tuple(kind for kind in random_ways.KINDS if kind not in LEFT_TO_THE_COMMAND)
 """Kinds that the sample holds."""
@@ -64,7 +65,7 @@ class Verdict:
 
 
 def field_on_pixels(path: Path, rows, columns):
-    """(field (m,), the frame's rms amplitude, stated error, warnings) of a scene as the command renders and stores it."""
+    """(field (m,), the frame's rms amplitude, stated error, warnings) of a scene as the command stores it."""
     import OpenEXR
 
     from speckle_mi.render import main as render

@@ -48,8 +48,8 @@ _DIM_SHARE = 0.5
 """By how much more of itself the error of a sum counts for every further opening."""
 
 _QUADRATURE_SHARE, _QUADRATURE_SAFETY = 1e-5, 100.0
-"""Part of the tolerance to which the integral over an opening is resolved: it converges fast, and costs little; and by how
-much more its error may be where the next opening takes the dim part of its light alone."""
+"""Part of the tolerance to which the integral over an opening is resolved: it converges fast, and costs little; and by
+how much more its error may be where the next opening takes the dim part of its light alone."""
 
 
 @dataclass(frozen=True)
