@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.plane import PlaneGrid, PlanePoints
-from ..optics.aim import aim
+from ..optics.aim import aim, all_pairs
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
 from ..plan.places import FINE, detector_places, hole_places
@@ -159,8 +159,8 @@ def _lobe_terms(
         if not channel.leg(0):
             return places[None] - points[:, None]
         end = detector_plane(channel.grid) if rim is None else rim.end
-        sources, ends = np.repeat(points, len(places), axis=0), np.tile(places, (len(points), 1))
-        return aim(Sequence((*channel.leg(0), end)), sources, ends).launch.reshape(len(points), len(places), 3)
+        aimed = aim(Sequence((*channel.leg(0), end)), *all_pairs(points, places))
+        return aimed.launch.reshape(len(points), len(places), 3)
 
     return lobe.terms(setup, scatterers, launch, samples, setup.assembly.options.tolerance)
 

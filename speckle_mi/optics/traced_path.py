@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from .aim import AimedPaths, aim
+from .aim import AimedPaths, aim, all_pairs
 from .sequence import Sequence
 from .trace import RayStatus
 
@@ -28,7 +28,7 @@ class TracedPath:
         of every focal line on the way (phasor e^{+ikL}: Gouy's phase). Vignetting is not in it, see ``margins``.
         Raises InputError when a pair has no ray; reasons are counted in the message.
         """
-        aimed = self._all_pairs(P, D)
+        aimed = self.aimed(P, D)
         shape = (len(P), len(D))
         return aimed.optical_path_length.reshape(shape), aimed.complex_amplitude.reshape(shape)
 
@@ -37,15 +37,11 @@ class TracedPath:
 
         Raises InputError when a pair has no ray.
         """
-        return self._all_pairs(P, D).margins.reshape(-1, len(P), len(D))
+        return self.aimed(P, D).margins.reshape(-1, len(P), len(D))
 
-    def _all_pairs(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
-        """The rays of all pairs, n * m, row-major (source, target)."""
-        return self.paired(np.repeat(P, len(D), axis=0), np.tile(D, (len(P), 1)))
-
-    def paired(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
-        """The rays from P (n, 3) to D (n, 3), one each. Raises InputError when a pair has no ray."""
-        aimed = aim(self.sequence, P, D)
+    def aimed(self, P: np.ndarray, D: np.ndarray) -> AimedPaths:
+        """The rays of all pairs, n * m, row-major (source, target). Raises InputError when a pair has no ray."""
+        aimed = aim(self.sequence, *all_pairs(P, D))
         if not aimed.converged.all():
             lost = aimed.status[~aimed.converged]
             reasons = ", ".join(
@@ -76,7 +72,7 @@ class TracedLeg:
 
         Raises InputError where no ray connects a pair.
         """
-        aimed = self.traced.paired(np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1)))
+        aimed = self.traced.aimed(sources, targets)
         amplitude = aimed.complex_amplitude
         if self.opening is not None:
             normal, index = self.opening

@@ -14,14 +14,16 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.outline import Circle
-from ..optics.aim import aim
+from ..optics.aim import aim, all_pairs
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes
+from .fresnel import edge_wave, fresnel_distance, fresnel_parameter
+from .legs import leg, straight_on
 from .places import FINE, detector_places, hole_places
 from .relay import Relayed, with_windows
 from .setup import Setup
-from .way import Channel, PhaseGradient, Rim, powers
+from .way import Channel, PhaseGradient, Rim
 
 CUTS = 1.5
 """Fresnel parameter of the nearest ray below which a rim cuts into the light: no share of its wave says how much."""
@@ -95,7 +97,7 @@ def _between_rims(setup: Setup, channel: Channel, rim: Rim, twin: Rim) -> EdgeWa
     area; it spreads over angles of lambda/s, of which the detector takes its part. The rim casts a geometric shadow.
     """
     apart = float(np.linalg.norm(rim.plane.frame.origin - twin.plane.frame.origin))
-    seam = np.sqrt(setup.assembly.beam.wavelength * apart / 2)
+    seam = fresnel_distance(1.0, apart, setup.assembly.beam.wavelength)
     in_pupil = np.sqrt(2 * seam / min(rim.plane.outline.half_size)) / 3
     distance = float(np.linalg.norm(channel.grid.centre - rim.plane.frame.origin))
     spread = setup.assembly.beam.wavelength / max(seam, 1e-300) * distance
@@ -110,7 +112,8 @@ def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
     for rim in channel.rims:
         places = _rim_points(rim, _RIM_POINTS)
         source = np.broadcast_to(spot, places.shape)
-        aimed = aim(Sequence((*powers(channel, 0, rim.position), rim.end)), source, places)
+        before, end = leg(channel, None, rim)
+        aimed = aim(Sequence((*before, end)), source, places)
         reached = aimed.converged
         free = np.zeros(len(places), dtype=bool)
         if np.any(reached):
@@ -156,13 +159,9 @@ def phase_gradient(
     Raises InputError where no ray leads over the rim.
     """
     samples = hole_places(rim.plane, *FINE)
-    leading, trailing, end = _pieces(channel, rim, before, after)
-    coming = aim(
-        Sequence((*leading, rim.end)), np.tile(sources, (len(samples), 1)), np.repeat(samples, len(sources), axis=0)
-    )
-    going = aim(
-        Sequence((*trailing, end)), np.repeat(samples, len(targets), axis=0), np.tile(targets, (len(samples), 1))
-    )
+    (leading, middle), (trailing, end) = leg(channel, before, rim), leg(channel, rim, after)
+    coming = aim(Sequence((*leading, middle)), *reversed(all_pairs(samples, sources)))
+    going = aim(Sequence((*trailing, end)), *all_pairs(samples, targets))
     tangents = rim.plane.frame.axes[:, :2]
     k = 2 * np.pi * rim.index / wavelength
     arriving = k * (coming.arrival @ tangents).reshape(len(samples), -1, 1, 2)
@@ -222,27 +221,19 @@ def _ends(channel: Channel, rim: Rim | None, spots: np.ndarray | None) -> np.nda
     return detector_places(channel.grid) if spots is None else spots
 
 
-def _pieces(channel: Channel, rim: Rim, before: Rim | None, after: Rim | None):
-    """What lies between the neighbours and a rim, before and behind it, and the plane of the later neighbour."""
-    first = before.position if before else 0
-    last = after.position if after else len(channel.interactions)
-    end = after.end if after else detector_plane(channel.grid)
-    return powers(channel, first, rim.position), powers(channel, rim.position, last), end
-
-
 def _edge_wave(
     setup: Setup, channel: Channel, rim: Rim, before: Rim | None, after: Rim | None, spots: np.ndarray
 ) -> EdgeWave:
     """How far the light from one neighbour to the next keeps from a rim, and how strong its wave is on the detector."""
     sources, targets = _ends(channel, before, spots), _ends(channel, after, None)
-    leading, trailing, end = _pieces(channel, rim, before, after)
+    (leading, _), (trailing, end) = leg(channel, before, rim), leg(channel, rim, after)
     for places, between in ((sources, leading), (targets, trailing)):
         if (
             all(_lies_in(rim, one) for one in between)
             and np.abs(rim.plane.frame.to_local(places)[:, 2]).max() < _IN_PLANE
         ):
             return EdgeWave(rim, np.inf, 0.0)
-    starts, ends = np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
+    starts, ends = all_pairs(sources, targets)
     aimed = aim(Sequence((*leading, *trailing, end)), starts, ends)
     good = aimed.converged
     if not np.any(good):
@@ -279,73 +270,50 @@ def _waves(outline, x: np.ndarray, y: np.ndarray, scale: float, bend: float) -> 
     the waves of its four sides; of a circle that of the nearest part, or of all parts together, J0(bend R r), whichever
     is larger.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
-
-        def straight(distance: np.ndarray) -> np.ndarray:
-            return np.where(distance > 0, 1 / (np.pi * np.sqrt(2) * scale * distance), 1.0)
-
-        if isinstance(outline, Circle):
-            # Each ray stands for all of its part of the light: J0 is as large as 1 on the axis alone.
-            apart = np.sqrt((np.var(x) + np.var(y)) / (2 * len(x)))
-            turns = bend * outline.radius * np.maximum(np.hypot(x, y), apart)
-            return np.maximum(straight(outline.radius - np.hypot(x, y)), np.sqrt(np.minimum(1.0, 2 / (np.pi * turns))))
-        half_x, half_y = outline.half_size
-        sides = [half_x - x, half_x + x, half_y - y, half_y + y]
-        return np.sqrt(sum(straight(side) ** 2 for side in sides))
+    if isinstance(outline, Circle):
+        # Each ray stands for all of its part of the light: J0 is as large as 1 on the axis alone.
+        apart = np.sqrt((np.var(x) + np.var(y)) / (2 * len(x)))
+        turns = bend * outline.radius * np.maximum(np.hypot(x, y), apart)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            together = np.sqrt(np.minimum(1.0, 2 / (np.pi * turns)))
+        return np.maximum(edge_wave(scale * (outline.radius - np.hypot(x, y))), together)
+    half_x, half_y = outline.half_size
+    sides = [half_x - x, half_x + x, half_y - y, half_y + y]
+    return np.sqrt(sum(edge_wave(scale * side) ** 2 for side in sides))
 
 
 def _share_coming(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots: np.ndarray) -> float:
     """How strong light is at a rim behind an opening: off the straight light, as much as the edge throws there.
 
-    That is 1/(pi sqrt(2) v) of the light in the opening, v = x sqrt(2 / (lambda L)) for the distance x of the rim from
-    the light and L to the opening.
+    That is the edge's wave at the distance of the rim from the light, from the opening on.
     """
     if before is None:
         return 1.0
-    holes = hole_places(before.plane, (0.0, 1.0), 6)
-    starts, ends = np.repeat(spots, len(holes), axis=0), np.tile(holes, (len(spots), 1))
-    aimed = aim(Sequence((*powers(channel, 0, before.position), before.end)), starts, ends)
-    good = aimed.converged
-    if not np.any(good):
-        return 1.0
-    system = Sequence((*powers(channel, before.position, rim.position), rim.end))
-    hits = trace(system, ends[good], aimed.arrival[good]).points[-1]
-    hits = hits[np.all(np.isfinite(hits), axis=1)]
+    hits = straight_on(channel, None, spots, before, hole_places(before.plane, (0.0, 1.0), 6), rim)
     if not len(hits):
         return 1.0
     x, y, _ = rim.plane.frame.to_local(hits).T
     length = float(np.linalg.norm(rim.plane.frame.origin - before.plane.frame.origin))
-    v = float(np.min(rim.plane.outline.clearance(x, y))) * np.sqrt(
-        2 / (setup.assembly.beam.wavelength * max(length, 1e-9))
-    )
-    return float(min(1.0, 1 / (np.pi * np.sqrt(2) * v))) if v > 0 else 1.0
+    aside = float(np.min(rim.plane.outline.clearance(x, y)))
+    return float(edge_wave(fresnel_parameter(aside, length, setup.assembly.beam.wavelength)))
 
 
 def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None) -> float:
     """What of a rim's wave goes on from the next opening to the detector: all, or what the edge throws there.
 
-    A wave from the rim comes to the opening from aside and leaves it to the other side: where that misses the detector
-    by a distance x, the opening's own edge throws 1/(pi sqrt(2) v) of it there, v = x sqrt(2 / (lambda L)).
+    A wave from the rim comes to the opening from aside and leaves it to the other side: where that misses the detector,
+    the opening's own edge throws its wave there.
     """
     if after is None:
         return 1.0
-    _, trailing, _ = _pieces(channel, rim, None, after)
-    behind = powers(channel, after.position, len(channel.interactions))
-    points, holes = _rim_points(rim, 8), hole_places(after.plane, (0.0, 1.0), 4)
-    starts, ends = np.repeat(points, len(holes), axis=0), np.tile(holes, (len(points), 1))
-    aimed = aim(Sequence((*trailing, after.end)), starts, ends)
-    good = aimed.converged
     grid = channel.grid
     length = float(np.linalg.norm(grid.centre - after.plane.frame.origin))
-    aside = length  # of what no ray brings over the opening
-    if np.any(good):
-        on = trace(Sequence((*behind, detector_plane(grid))), ends[good], aimed.arrival[good]).points[-1]
-        offset = on[np.all(np.isfinite(on), axis=1)] - grid.centre
-        beyond = [np.maximum(np.abs(offset @ axis) - half, 0.0)
-                  for axis, half in zip((grid.u, grid.v), grid.half_size, strict=True)]  # fmt: skip
-        aside = float(np.min(np.hypot(*beyond), initial=length))
-    v = aside * np.sqrt(2 / (setup.assembly.beam.wavelength * max(length, 1e-300)))
-    return float(min(1.0, 1 / (np.pi * np.sqrt(2) * v))) if v > 0 else 1.0
+    hits = straight_on(channel, rim, _rim_points(rim, 8), after, hole_places(after.plane, (0.0, 1.0), 4), None)
+    offset = (hits - grid.centre) @ np.stack([grid.u, grid.v], axis=1)
+    beyond = np.maximum(np.abs(offset) - np.array(grid.half_size), 0.0)
+    # Where no ray comes over the opening, as far aside as it is to the detector.
+    aside = float(np.min(np.hypot(*beyond.T), initial=length))
+    return float(edge_wave(fresnel_parameter(aside, length, setup.assembly.beam.wavelength)))
 
 
 def _curvature(rim: Rim, leading, trailing, end, source: np.ndarray, target: np.ndarray, hit: np.ndarray) -> float:

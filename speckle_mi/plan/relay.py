@@ -14,13 +14,14 @@ import numpy as np
 
 from ..geometry.frames import Frame
 from ..geometry.outline import Circle
-from ..optics.aim import aim
-from ..optics.sequence import Sequence, detector_plane
+from ..optics.aim import aim, all_pairs
+from ..optics.sequence import Sequence
 from ..optics.surface import Surface
-from ..optics.trace import trace
+from .fresnel import edge_wave, fresnel_distance
+from .legs import leg, leg_limits, straight_on
 from .places import detector_places, hole_places
 from .setup import Setup
-from .way import Channel, Rim, powers
+from .way import Channel, Rim
 
 NEAR_CAUSTIC = 1e-3
 """Cross section of a ray tube, relative to free space, below which geometric optics does not apply."""
@@ -34,8 +35,9 @@ _RINGS = (0.0, 0.5, 1.0), 8
 
 @dataclass(frozen=True)
 class Relayed:
-    """openings: with the windows among them, in order; windows: these alone; error: what
-    they leave out, relative to the field."""
+    """openings: with the windows among them, in order; windows: these alone; error: what they leave out, relative to
+    the field.
+    """
 
     openings: tuple[Rim, ...]
     windows: tuple[Rim, ...]
@@ -63,7 +65,7 @@ def with_windows(setup: Setup, channel: Channel, openings: list[Rim], spots: np.
         windows.append(window)
         found = sorted([*found, window], key=lambda rim: rim.position)
     v = window_parameter(setup.assembly.options.tolerance)
-    return Relayed(tuple(found), tuple(windows), len(windows) / (np.pi * np.sqrt(2) * v) ** 2)
+    return Relayed(tuple(found), tuple(windows), len(windows) * edge_wave(v) ** 2)
 
 
 def _needed(setup: Setup, channel: Channel, openings: list[Rim], spots: np.ndarray) -> Rim | None:
@@ -72,7 +74,7 @@ def _needed(setup: Setup, channel: Channel, openings: list[Rim], spots: np.ndarr
         if not _is_singular(channel, before, after, spots):
             continue
         for rim in channel.rims:
-            first, last = before.position if before else 0, after.position if after else len(channel.interactions)
+            first, last = leg_limits(channel, before, after)
             within = first <= rim.position <= last and rim.number not in {one.number for one in openings}
             if rim.is_screen or not within:
                 continue
@@ -86,15 +88,12 @@ def _needed(setup: Setup, channel: Channel, openings: list[Rim], spots: np.ndarr
 
 def _is_singular(channel: Channel, before: Rim | None, after: Rim | None, spots: np.ndarray) -> bool:
     """Whether not every pair of places at the ends of a leg has exactly one ray, clear of a caustic."""
-    first, last = before.position if before else 0, after.position if after else len(channel.interactions)
-    between = powers(channel, first, last)
+    between, end = leg(channel, before, after)
     if not between:
         return False
     sources = hole_places(before.plane, *_RINGS) if before else spots
     targets = hole_places(after.plane, *_RINGS) if after else detector_places(channel.grid)
-    end = after.end if after else detector_plane(channel.grid)
-    starts, ends = np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
-    aimed = aim(Sequence((*between, end)), starts, ends)
+    aimed = aim(Sequence((*between, end)), *all_pairs(sources, targets))
     if not np.all(aimed.converged):
         return True
     return bool(np.min(aimed.spread) < NEAR_CAUSTIC or np.ptp(aimed.caustics) > 0)
@@ -104,22 +103,15 @@ def _window(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots:
     """A round window in a rim's plane around the straight light from an opening; for light from the spot, the rim."""
     if before is None:
         return rim
-    holes = hole_places(before.plane, *_RINGS)
-    starts, ends = np.repeat(spots, len(holes), axis=0), np.tile(holes, (len(spots), 1))
-    aimed = aim(Sequence((*powers(channel, 0, before.position), before.end)), starts, ends)
-    good = aimed.converged
-    if not np.any(good):
-        return None
-    system = Sequence((*powers(channel, before.position, rim.position), rim.end))
-    hits = trace(system, ends[good], aimed.arrival[good]).points[-1]
-    hits = hits[np.all(np.isfinite(hits), axis=1)]
+    hits = straight_on(channel, None, spots, before, hole_places(before.plane, *_RINGS), rim)
     if not len(hits):
         return None
     local = rim.plane.frame.to_local(hits)[:, :2]
     middle = 0.5 * (local.min(axis=0) + local.max(axis=0))
     length = float(np.linalg.norm(rim.plane.frame.origin - before.plane.frame.origin))
     radius = float(np.max(np.hypot(*(local - middle).T)))
-    radius += window_parameter(setup.assembly.options.tolerance) * np.sqrt(setup.assembly.beam.wavelength * length / 2)
+    v = window_parameter(setup.assembly.options.tolerance)
+    radius += fresnel_distance(v, length, setup.assembly.beam.wavelength)
     if radius + np.hypot(*middle) >= min(rim.plane.outline.half_size):
         return rim
     centre = rim.plane.frame.to_world(np.array([[*middle, 0.0]]))[0]

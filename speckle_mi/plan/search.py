@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..geometry.frames import Frame
-from ..optics.aim import aim
+from ..optics.aim import aim, all_pairs
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
@@ -154,7 +154,7 @@ class Search:
 
     def _send(self, points: np.ndarray, targets: np.ndarray) -> None:
         """Follows rays from every point (m, 3) towards every target (k, 3)."""
-        starts, ends = np.repeat(points, len(targets), axis=0), np.tile(targets, (len(points), 1))
+        starts, ends = all_pairs(points, targets)
         self._follow(starts, ends - starts)
 
     def _follow(self, starts: np.ndarray, launches: np.ndarray) -> None:

@@ -14,10 +14,11 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from ..geometry.plane import PlaneGrid
-from ..optics.aim import aim
+from ..optics.aim import aim, all_pairs
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
 from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix
+from .fresnel import fresnel_distance
 from .places import FINE, detector_places, hole_places
 from .setup import Setup
 from .tracer import NOTHING, TARGET
@@ -150,7 +151,7 @@ def clearance_of_shapes(
     length = float(np.max(np.linalg.norm(np.diff(points, axis=0), axis=2).sum(axis=0)))
     kept = 0.0
     for v in steps:
-        aside = v * float(np.sqrt(setup.assembly.beam.wavelength * length / 8))
+        aside = fresnel_distance(v, length / 4, setup.assembly.beam.wavelength)
         if not np.all(part.unblocked(setup, points, aside)):
             return kept, part.shapes_beside(setup, points, aside)
         kept = v
@@ -159,8 +160,7 @@ def clearance_of_shapes(
 
 def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarray, np.ndarray]:
     """The whole way, and starts and ends (n, 3) of rays from all sources to places all over the detector."""
-    targets = detector_places(channel.grid)
-    return _Part.whole(channel), np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
+    return _Part.whole(channel), *all_pairs(sources, detector_places(channel.grid))
 
 
 def lit_pixels(
@@ -263,7 +263,7 @@ class _Part:
         targets = _places(grid, nodes, nodes)
         rows, columns = (interpolation_matrix(_NODES, np.linspace(-1, 1, count)) for count in shape)
         for some in np.array_split(sources, -(-len(sources) // _SOURCES_AT_ONCE)):
-            points, margins = self.rays(np.repeat(some, len(targets), axis=0), np.tile(targets, (len(some), 1)))
+            points, margins = self.rays(*all_pairs(some, targets))
             points = points.reshape(len(points), len(some), len(targets), 3)
             margins = margins.reshape(-1, len(some), _NODES, _NODES)
             for number in range(len(some)):
@@ -328,8 +328,7 @@ def lit_nodes(channel: Channel, rim: Rim, sources: np.ndarray, points: np.ndarra
 def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
     """Whether a rim that is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
     outermost, samples = extremes(sources, axes), hole_places(rim.plane, *FINE)
-    starts, over = np.repeat(outermost, len(samples), axis=0), np.tile(samples, (len(outermost), 1))
-    return not np.all(_clearance_over(channel, rim, starts, over) > _SAFE_MARGIN)
+    return not np.all(_clearance_over(channel, rim, *all_pairs(outermost, samples)) > _SAFE_MARGIN)
 
 
 def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -355,7 +354,7 @@ def shapes_before(setup: Setup, channel: Channel, spots: np.ndarray) -> list[str
     starts, rim, names = spots, None, []
     for opening in channel.openings:
         part, ends = _Part.between(channel, rim, opening), hole_places(opening.plane, *FINE)
-        points, _ = part.rays(np.repeat(starts, len(ends), axis=0), np.tile(ends, (len(starts), 1)))
+        points, _ = part.rays(*all_pairs(starts, ends))
         if not np.all(part.unblocked(setup, points)):
             names += part.shapes_beside(setup, points)
         starts, rim = ends, opening

@@ -7,17 +7,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.plane import PlaneGrid
-from ..optics.aim import aim
+from ..optics.aim import aim, all_pairs
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import trace
+from .fresnel import edge_wave, fresnel_parameter
 from .places import detector_places, hole_places
 from .routes import Route
 from .setup import Setup
 from .way import Channel
 
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 0.98), 8
-
 
 _SHARE_SIDE = 9
 """Places a side on the detector at which is looked whether a way reaches them."""
@@ -39,8 +39,8 @@ class Strength:
 def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...], grid: PlaneGrid, spots) -> Strength:
     """How strong a way's light is; interactions, grid: the way with plane mirrors unfolded.
 
-    From one place to the next (spot, openings, detector) rays go straight on. Where they miss the next by a distance x,
-    the edge of the opening before throws 1/(pi sqrt(2) v) of them there, v = x sqrt(2 / (lambda L)).
+    From one place to the next (spot, openings, detector) rays go straight on. Where they miss the next, the edge of the
+    opening before throws its wave there.
     """
     stops = [n for n, step in enumerate(route.steps) if step[2] == "pass"]
     share, places, start = 1.0, spots, 0
@@ -58,7 +58,7 @@ def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...
             size = plane.outline.half_size
         if directions is not None:
             share *= _arriving(setup, between, end, places, directions, goals, size)
-        starts, ends = np.repeat(places, len(goals), axis=0), np.tile(goals, (len(places), 1))
+        starts, ends = all_pairs(places, goals)
         aimed = aim(Sequence((*between, end)), starts, ends)
         good = aimed.converged
         if np.any(good):
@@ -75,8 +75,7 @@ def reached_share(channel: Channel, spots: np.ndarray) -> float:
     spots: (m, 3) places that stand for the spot. The root of the share of the detector that it reaches.
     """
     places = detector_places(channel.grid, _SHARE_SIDE)
-    starts, ends = np.repeat(spots, len(places), axis=0), np.tile(places, (len(spots), 1))
-    aimed = aim(Sequence((*channel.interactions, detector_plane(channel.grid))), starts, ends)
+    aimed = aim(Sequence((*channel.interactions, detector_plane(channel.grid))), *all_pairs(spots, places))
     reached = aimed.converged & np.all(aimed.margins >= 0, axis=0)
     return float(np.sqrt(max(np.mean(reached), 0.5 / len(places))))
 
@@ -95,5 +94,4 @@ def _arriving(setup: Setup, between, end: Interaction, places, directions, goals
     if len(on):
         local = end.surface.frame.to_local(on)[:, :2] - end.surface.frame.to_local(middle[None])[0, :2]
         aside = float(np.min(np.hypot(*(np.maximum(np.abs(local) - np.array(size), 0.0)).T)))
-    v = aside * np.sqrt(2 / (setup.assembly.beam.wavelength * max(length, 1e-300)))
-    return float(min(1.0, 1 / (np.pi * np.sqrt(2) * v))) if v > 0 else 1.0
+    return float(edge_wave(fresnel_parameter(aside, length, setup.assembly.beam.wavelength)))

@@ -97,11 +97,6 @@ class Channel:
         return tuple(i for i in self.interactions[first:last] if i.action != "pass")
 
 
-def powers(channel: Channel, first: int, last: int) -> tuple[Interaction, ...]:
-    """The refracting and reflecting interactions in part of a way, as if their surfaces went on beyond their rims."""
-    return without_rims(i for i in channel.interactions[first:last] if i.action != "pass")
-
-
 def without_rims(interactions: Iterable[Interaction]) -> tuple[Interaction, ...]:
     """Interactions at surfaces that go on beyond their rims: where rims have their own say, paths need none."""
     return tuple(replace(i, surface=replace(i.surface, outline=None)) for i in interactions)
