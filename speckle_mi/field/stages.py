@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from ..optics.aim import aim, all_pairs
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
 from ..plan.places import FINE, detector_places, hole_places
+from ..plan.setup import Setup
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
     SHADOWS_ON_OPENING,
@@ -25,14 +27,13 @@ from ..plan.shadows import (
     shadowed_sum,
     shapes_beside_way,
 )
+from ..plan.stage import RAYS, SUM, Stage
 from ..plan.way import Channel, Rim, without_rims
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
 from ..propagation.opening_quadrature import TIGHTEST, opening_nodes
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
 from ..propagation.reference import reference_sum
-from ..plan.stage import RAYS, SUM, Stage
 from ..scattering.rough_surface import Scatterers
-from ..plan.setup import Setup
 from ..scene.errors import SceneError
 from .lobe import EVEN, Lobe, LobeTerm
 from .ray_method import ray_field
@@ -113,16 +114,20 @@ def _without_openings(
     path = _path(channel, 0, detector_plane(channel.grid), None, assembly.beam.wavelength)
     clear = is_clear(setup, channel, scatterers.position, setup.frame.axes)
     how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance
-    values, results, share = None, [], None
-    for term in _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe):
-        weights = scatterers.amplitude * term.sources
+    results, share = [], None
+
+    def radiated(weights: np.ndarray) -> np.ndarray:
+        nonlocal share
         result = _summed(channel, path, scatterers.position, weights, grid, *how)
         field, error = result.field.reshape(grid.shape), result.numerical_error
         if not clear:
             field, share, shared = _shadowed_field(setup, channel, path, scatterers.position, weights, grid, field)
             error = float(np.hypot(error, shared))
-        values = _added(values, _with_lobe(field, term, grid))
         results.append((result.how, error))
+        return field
+
+    terms = _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe)
+    values = _sum_of_terms(terms, scatterers, grid, radiated)
     stages = _sums(("the detector",), results, began, share=share)
     return _channel_field(channel, values, stages)
 
@@ -132,20 +137,21 @@ def _on_first_opening(
     lobe: Lobe | None,
 ) -> tuple[np.ndarray, list[tuple[How, float]]]:  # fmt: skip
     """The field (n,) at the nodes of the first opening, and how each sum was done with its error."""
-    options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
-    how = wavelength, options.method, tolerance
-    sources, values, results = scatterers.position, None, []
+    how = setup.assembly.beam.wavelength, setup.assembly.options.method, tolerance
+    sources, results = scatterers.position, []
     shadowed = has_shadow(channel, rim, sources, setup.frame.axes)
-    for term in _lobe_terms(setup, scatterers, channel, rim, hole_places(rim.plane, *FINE), lobe):
-        weights = scatterers.amplitude * term.sources
+
+    def radiated(weights: np.ndarray) -> np.ndarray:
         result = _summed(channel, path, sources, weights, nodes, *how)
         field, error = result.field, result.numerical_error
         if shadowed:
             field, shared = _with_shadows_on(nodes, channel, rim, path, sources, weights, field, *how)
             error = float(np.hypot(error, shared))
-        values = _added(values, _with_lobe(field, term, nodes))
         results.append((result.how, error))
-    return values, results
+        return field
+
+    terms = _lobe_terms(setup, scatterers, channel, rim, hole_places(rim.plane, *FINE), lobe)
+    return _sum_of_terms(terms, scatterers, nodes, radiated), results
 
 
 def _lobe_terms(
@@ -165,12 +171,20 @@ def _lobe_terms(
     return lobe.terms(setup, scatterers, launch, samples, setup.assembly.options.tolerance)
 
 
-def _with_lobe(field: np.ndarray, term: LobeTerm, places: PlaneGrid | PlanePoints) -> np.ndarray:
-    return field if term is EVEN[0] else field * term.towards(places.points()).reshape(field.shape)
-
-
-def _added(total: np.ndarray | None, field: np.ndarray) -> np.ndarray:
-    return field if total is None else total + field
+def _sum_of_terms(
+    terms: tuple[LobeTerm, ...],
+    scatterers: Scatterers,
+    places: PlaneGrid | PlanePoints,
+    radiated: Callable[[np.ndarray], np.ndarray],
+) -> np.ndarray:
+    """The field at places; radiated: weights (n,) of the scatterers -> their field there with even radiation."""
+    if terms is EVEN:
+        return radiated(scatterers.amplitude)
+    points, total = places.points(), 0.0
+    for term in terms:
+        field = radiated(scatterers.amplitude * term.sources)
+        total = total + field * term.towards(points).reshape(field.shape)
+    return total
 
 
 def _sums(
@@ -213,33 +227,30 @@ def ray_channel(
     setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, lobe: Lobe | None = None
 ) -> tuple[ChannelField, list[str]]:
     """The field by the paper's own method, fans of rays whose paths are interpolated on the pixels; and warnings."""
+    began = time.perf_counter()
     sequence = Sequence(channel.interactions) if channel.interactions else None
-    rays, wavelength, began = (
-        setup.assembly.options.rays_per_source,
-        setup.assembly.beam.wavelength,
-        time.perf_counter(),
-    )
-    sources, values, traced, warnings = scatterers.position, None, 0, []
+    wavelength, rays = setup.assembly.beam.wavelength, setup.assembly.options.rays_per_source
+    sources, results = scatterers.position, []
     beside = shapes_beside_way(setup, channel, extremes(sources, setup.frame.axes))
-    for term in _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe):
-        weights = scatterers.amplitude * term.sources
-        result = ray_field(sequence, grid, sources, weights, wavelength, rays)
-        field = result.field
-        if beside:
-            field, *_ = shadowed_sum(
-                sources,
-                lambda places, only: lit_pixels(setup, channel, places, grid, only, rims=False),
-                lambda group, seen, weights=weights: ray_field(
-                    sequence, grid, sources[group], weights[group], wavelength, rays
-                ).field[seen],
-                field,
-                SHADOWS_ON_DETECTOR,
-            )
-        values = _added(values, _with_lobe(field, term, grid))
-        traced += result.rays_traced
-        warnings += [line for line in result.warnings if line not in warnings]
+
+    def radiated(weights: np.ndarray) -> np.ndarray:
+        results.append(ray_field(sequence, grid, sources, weights, wavelength, rays))
+        if not beside:
+            return results[-1].field
+        return shadowed_sum(
+            sources,
+            lambda places, only: lit_pixels(setup, channel, places, grid, only, rims=False),
+            lambda group, seen: ray_field(sequence, grid, sources[group], weights[group], wavelength, rays).field[seen],
+            results[-1].field,
+            SHADOWS_ON_DETECTOR,
+        )[0]
+
+    terms = _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe)
+    values = _sum_of_terms(terms, scatterers, grid, radiated)
+    warnings = list(dict.fromkeys(line for result in results for line in result.warnings))
+    traced = sum(result.rays_traced for result in results)
     seconds = time.perf_counter() - began
-    stage = Stage(RAYS, way=channel.route.label, count=rays, rays=traced, share=result.covered, seconds=seconds)
+    stage = Stage(RAYS, way=channel.route.label, count=rays, rays=traced, share=results[-1].covered, seconds=seconds)
     return ChannelField(amplitude_of(channel.interactions) * values, (stage,), math.nan), warnings
 
 

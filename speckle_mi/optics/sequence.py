@@ -57,6 +57,11 @@ class Interaction:
             )
 
     @property
+    def reflects_inside(self) -> bool:
+        """Whether light is reflected within a glass, as at total reflection."""
+        return self.action == "reflect" and self.index_before != 1.0
+
+    @property
     def place(self) -> np.ndarray:
         """(3,) where its light is, world [mm]."""
         return self.surface.middle if self.near is None else self.surface.frame.to_world(self.near[None])[0]

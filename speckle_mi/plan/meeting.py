@@ -54,7 +54,6 @@ class Meetings:
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
         self.elements = setup.assembly.elements
-        self._faces: list[tuple[Thing, Surface]] = []
         self.things = [Thing(NOTHING), Thing(DETECTOR), Thing(OPAQUE, TARGET)]
         self._opaque = tuple(n for n, element in enumerate(self.elements) if element.kind == "opaque")
         self.things += [Thing(OPAQUE, number) for number in self._opaque]
@@ -136,11 +135,7 @@ class Meetings:
     def _face(self, met: Met, origin, direction, number: int, face: int, left) -> None:
         element = self.elements[number]
         surface = element.faces[face]
-        local, along = surface.frame.to_local(origin).T, (direction @ surface.frame.axes).T
-        if surface.is_plane:
-            lengths = _plane_crossing(surface, local, along)[None]
-        else:
-            lengths, _ = surface.crossings(local, along, element.closed)
+        lengths = _crossings(surface, element.closed, origin, direction)
         least = COINCIDENT if left == (number, face) else -COINCIDENT
         for root in range(len(lengths)):
             distance = np.where(lengths[root] > least, lengths[root], np.inf)  # NaN is not larger
@@ -203,20 +198,20 @@ def stands_between(element: Element, start: np.ndarray, direction: np.ndarray, d
         return within(length) & (in_hole | on_screen)
     between = np.zeros(len(start), dtype=bool)
     for face in element.faces:
-        local, along = face.frame.to_local(start).T, (direction @ face.frame.axes).T
-        if face.is_plane:
-            between |= within(_plane_crossing(face, local, along))
-        else:
-            between |= np.any(within(face.crossings(local, along, element.closed)[0]), axis=0)
+        between |= np.any(within(_crossings(face, element.closed, start, direction)), axis=0)
     return between | within(_wall_crossing(element, start, direction)) if _has_wall(element) else between
 
 
-def _plane_crossing(surface: Surface, local: np.ndarray, along: np.ndarray) -> np.ndarray:
+def _crossings(surface: Surface, closed: bool, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Distances (r, n) [mm] at which lines meet a face inside its rim, rising; NaN where they do not."""
+    local, along = surface.frame.to_local(origin).T, (direction @ surface.frame.axes).T
+    if not surface.is_plane:
+        return surface.crossings(local, along, closed)[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         length = -local[2] / along[2]
         x, y = local[:2] + length * along[:2]
         outside = np.any(surface.outline.margins(x, y) < 0, axis=0) if surface.outline else False
-    return np.where(np.isfinite(length) & ~outside, length, np.nan)
+    return np.where(np.isfinite(length) & ~outside, length, np.nan)[None]
 
 
 def _coincident_faces(elements: tuple[Element, ...]) -> dict[tuple[int, int], tuple[int, int]]:

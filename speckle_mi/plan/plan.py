@@ -6,22 +6,22 @@ a scene does not need is left out; the plan says so, in words that are printed a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ..errors import InputError
 from ..geometry.plane import PlaneGrid
-from ..optics.aim import aim
+from ..optics.aim import aim, all_pairs
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import trace
 from ..optics.unfold import unfold
 from ..propagation.coherent_sum import CERTAINTY
 from .setup import Setup
-from ..scattering.beam import TRUNCATION
 from ..scene.errors import SceneError
-from .edges import SHARE, PhaseGradient, all_affordable, chosen_edges, limiting_rims, phase_gradients
+from .edges import SHARE, all_affordable, chosen_edges, limiting_rims, phase_gradients
+from .fresnel import edge_wave, fresnel_parameter
 from .places import points_on
 from .relay import NEAR_CAUSTIC
 from .routes import Route, find_routes
@@ -44,7 +44,7 @@ from .stage import (
     Stage,
 )
 from .strength import Strength, reached_share, strength_of
-from .way import Channel, Rim, rims_of, with_slack
+from .way import Channel, PhaseGradient, Rim, rims_of, with_slack
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
@@ -52,11 +52,10 @@ _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
 _SAME_RAY = 1e-6
 """Angle [rad] up to which two rays to one place are the same."""
 
-_DETECTOR_SAMPLES = 9
-_INSIDE_RIM = 1 - 1e-6
+_HALF_LIT = 0.5
+"""Part of the light's amplitude at the very edge of a shadow."""
 
-_LIMITING_SHARE = 0.01
-"""Share of an opening's rim that must be the edge of the light for the opening to count as limiting it."""
+_DETECTOR_SAMPLES = 9
 
 
 @dataclass(frozen=True)
@@ -89,7 +88,7 @@ def make_plan(setup: Setup) -> Plan:
         free = Channel(Route((), (), 0), (), setup.assembly.detector, (), (), ())
         nothing = "nothing stands between target and detector, no ray is launched"
         return Plan((free,), (Stage(FREE_SPACE, reason=nothing),))
-    spots = spot_samples(setup)
+    spots = setup.spots
     arrivals = find_routes(setup, spots)
     blocker = _main_blocker(arrivals.stopped)
     if not arrivals.routes:
@@ -109,8 +108,7 @@ def make_plan(setup: Setup) -> Plan:
 
 def _is_devious(channel: Channel) -> bool:
     """Whether light is totally reflected inside a glass on a way, which nobody builds a sensor on."""
-    return any(step[2] == "reflect" and i.index_before != 1.0
-               for step, i in zip(channel.route.steps, channel.route.interactions, strict=True))  # fmt: skip
+    return any(interaction.reflects_inside for interaction in channel.route.interactions)
 
 
 def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:
@@ -127,12 +125,12 @@ def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple
     for channel, strength in zip(bare, strengths, strict=True):
         share = strength.share * strength.amplitude / straight
         if plain and _is_devious(channel):
-            share *= reached_share(channel, spot_samples(setup))
+            share *= reached_share(channel, setup.spots)
             stages.append(Stage(OTHER_WAY, way=channel.route.label, predicted_error=share))
         elif strength.lit:
             kept.append(channel)
         elif options.diffraction and options.method != "rays":
-            if share > SHARE * options.tolerance and all_affordable(setup, channel, spot_samples(setup)):
+            if share > SHARE * options.tolerance and all_affordable(setup, channel, setup.spots):
                 kept.append(channel)
             else:
                 names = tuple(rim.name for rim in channel.rims if rim.is_screen)
@@ -167,7 +165,7 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
     if openings:
         channel = replace(channel, hidden=hidden_pixels(setup, channel))
     if setup.assembly.options.diffraction and setup.assembly.options.method != "rays":
-        stages += _edges_beside(setup, channel, spot_samples(setup))
+        stages += _edges_beside(setup, channel, setup.spots)
     left_out = [stage.predicted_error for stage in stages if stage.predicted_error is not None]
     return replace(
         channel,
@@ -179,7 +177,7 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
 def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
     """How steep the light's phase is over every opening. Raises SceneError where no light leads over one."""
     try:
-        return phase_gradients(channel, spot_samples(setup), setup.assembly.beam.wavelength)
+        return phase_gradients(channel, setup.spots, setup.assembly.beam.wavelength)
     except InputError as error:
         raise SceneError(
             f"way {channel.route.label}: {error}; "
@@ -193,44 +191,40 @@ def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Sta
     A shape that cuts the light of a way without openings casts its geometric shadow, and the wave of its edge is
     stated. Raises SceneError where one cuts the light on its way to an opening.
     """
-    wave = 1.0
     if channel.openings:
-        names = shapes_before(setup, channel, spots)
-    else:
-        names = shapes_beside_way(setup, channel, spots)
-        lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
-        if names and not np.any(lit):
-            return []  # hidden altogether: stays dark
-        if names and not np.all(lit):
-            wave = _wave_of_shadow(setup, channel, spots, lit)
-            return [Stage(CUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
-        v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
-        wave = 1 / (np.pi * np.sqrt(2) * v) if v > 0 else 0.5
+        if names := shapes_before(setup, channel, spots):
+            named = " or ".join(map(repr, dict.fromkeys(names)))
+            raise SceneError(
+                f"way {channel.route.label}: {named} cuts a part of its light, and the diffraction at that edge is not "
+                "computed: put an aperture with the free part as its hole in its place, move it out of the light, or "
+                "set diffraction to false for its geometric shadow"
+            )
+        return []
+    names = shapes_beside_way(setup, channel, spots)
+    lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
+    if names and not np.any(lit):
+        return []  # hidden altogether: stays dark
+    if names and not np.all(lit):
+        wave = _wave_of_shadow(setup, channel, spots, lit)
+        return [Stage(CUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
+    v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
     if not names:
         return []
-    named = " or ".join(map(repr, dict.fromkeys(names)))
-    if wave == 1.0:
-        raise SceneError(
-            f"way {channel.route.label}: {named} cuts a part of its light, and the diffraction at that edge is not "
-            "computed: put an aperture with the free part as its hole in its place, move it out of the light, or set "
-            "diffraction to false for its geometric shadow"
-        )
-    return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
+    return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=min(_HALF_LIT, float(edge_wave(v))))]
 
 
 def _wave_of_shadow(setup: Setup, channel: Channel, spots: np.ndarray, lit: np.ndarray) -> float:
     """Rms wave of the edge of shadows on the detector, relative to the light beside them.
 
     lit: (m, rows, columns) whether pixels are lit from places on the spot (m, 3). At the distance x from the edge of a
-    shadow the wave is 1/(pi sqrt(2) v), half of the light at the most, v = x sqrt(2 / (lambda L)) for an edge half way.
+    shadow it is the edge's wave, half of the light at the most, for an edge half way.
     """
     length = float(np.linalg.norm(channel.grid.centre - spots[0]))
-    scale = channel.grid.pitch * np.sqrt(2 / (setup.assembly.beam.wavelength * length))
+    step = fresnel_parameter(channel.grid.pitch, length, setup.assembly.beam.wavelength)
     power = 0.0
     for one in lit:
-        v = scale * np.maximum(np.maximum(distance_transform_edt(one), distance_transform_edt(~one)) - 0.5, 0.0)
-        with np.errstate(divide="ignore"):
-            power += np.mean(np.minimum(0.5, 1 / (np.pi * np.sqrt(2) * v)) ** 2)
+        v = step * np.maximum(np.maximum(distance_transform_edt(one), distance_transform_edt(~one)) - 0.5, 0.0)
+        power += np.mean(np.minimum(_HALF_LIT, edge_wave(v)) ** 2)
     return float(min(1.0, CERTAINTY * np.sqrt(power / max(np.mean(lit) * len(lit), 1e-300))))
 
 
@@ -246,19 +240,18 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
     """The openings to diffract at, and the stages that say so and why."""
     if not channel.rims:
         return (), [_without_rims(setup, channel)]
-    geometric, why_not = _geometric_view(setup, channel)
+    why_not = _why_not_geometric(setup, channel)
     options = setup.assembly.options
     if not options.diffraction:
-        if geometric is None:
+        if why_not:
             raise SceneError(
                 f"way {channel.route.label}: {why_not}, so that the geometric field which diffraction=false asks for "
                 "does not exist all over it: set diffraction to true with an aperture in this way, block the way, or "
                 "move the detector"
             )
         return (), [Stage(SHADOWS, reason="as diffraction=false asks for")]
-    spots = spot_samples(setup)
-    first = [] if geometric is not None else _first_opening(setup, channel, why_not)
-    relayed, waves = chosen_edges(setup, channel, spots, first)
+    first = _first_opening(setup, channel, why_not) if why_not else []
+    relayed, waves = chosen_edges(setup, channel, setup.spots, first)
     chosen = relayed.openings
     if options.method == "rays":
         names = tuple(rim.name for rim in chosen)
@@ -293,31 +286,9 @@ def _first_opening(setup: Setup, channel: Channel, why: str) -> list[Rim]:
 def _without_rims(setup: Setup, channel: Channel) -> Stage:
     if not channel.interactions:
         return Stage(FREE_SPACE, reason="the light meets nothing on this way")
-    geometric, why_not = _geometric_view(setup, channel)
-    if geometric is None:
+    if why_not := _why_not_geometric(setup, channel):
         raise SceneError(f"way {channel.route.label}: {why_not} but no opening limits the light: put an aperture")
     return Stage(NOT_DIFFRACTED, reason="no edge lies on this way")
-
-
-def spot_samples(setup: Setup) -> np.ndarray:
-    """The spot's middle and points around it as far as it is summed, (n, 3)."""
-    target = setup.assembly.target
-    if target.points is not None:
-        places = setup.frame.to_world(target.points.points)
-        return np.unique(
-            np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
-            axis=0,
-        )
-    beam, spot, normal = setup.assembly.beam, setup.spot.point, setup.spot.normal
-    largest = 0.5 * float(np.ptp(target.surface.facets.bounds))
-    # An ellipse, longest where the beam runs along the surface.
-    along = beam.axis - (beam.axis @ normal) * normal
-    first = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else setup.frame.axes[:, 0]
-    second = np.cross(normal, first)
-    across = min(TRUNCATION * beam.radius_at(spot), largest)
-    sizes = (min(across / max(abs(float(normal @ beam.axis)), 1e-3), largest), across)
-    ends = (size * sign * axis for size, axis in zip(sizes, (first, second), strict=True) for sign in (-1, 1))
-    return np.array([spot, *(spot + end for end in ends)])
 
 
 def _detector_samples(grid: PlaneGrid) -> np.ndarray:
@@ -327,32 +298,22 @@ def _detector_samples(grid: PlaneGrid) -> np.ndarray:
     return grid.centre + (half_u * a)[:, None] * grid.u + (half_v * b)[:, None] * grid.v
 
 
-@dataclass(frozen=True)
-class _View:
-    """Rays from every sample of the spot to every sample of the detector: points (s, n, 3) at every interaction."""
+def _why_not_geometric(setup: Setup, channel: Channel) -> str:
+    """Why geometric optics does not hold all over the detector, empty where it does.
 
-    sources: np.ndarray
-    targets: np.ndarray
-    points: np.ndarray = field(repr=False)
-
-
-def _geometric_view(setup: Setup, channel: Channel) -> tuple[_View | None, str]:
-    """The rays from spot to detector; None and the reason where not every pair has exactly one, clear of a caustic."""
+    It holds where every pair of places on spot and detector has exactly one ray, clear of a caustic.
+    """
     sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
-    spots, pixels = spot_samples(setup), _detector_samples(channel.grid)
-    sources, targets = np.repeat(spots, len(pixels), axis=0), np.tile(pixels, (len(spots), 1))
-    aimed = aim(sequence, sources, targets)
-    lost = aimed.status[~aimed.converged]
+    aimed = aim(sequence, *all_pairs(setup.spots, _detector_samples(channel.grid)))
     found = aimed.converged
     focused = np.any(found) and (np.min(aimed.spread[found]) < NEAR_CAUSTIC or np.ptp(aimed.caustics[found]) > 0)
-    if focused or (len(lost) and not np.any(found)):
-        return None, "a focus or caustic lies at the detector"
-    if len(lost):
-        return None, "rays reach only a part of the detector (the way ends at a surface's edge or at total reflection)"
-    if channel.has_power and _several_rays(channel, spots[0]):
-        return None, "several rays reach the same pixel, inside a caustic,"
-    traced = trace(sequence, sources, aimed.launch)
-    return _View(sources, targets, traced.points), ""
+    if focused or not np.any(found):
+        return "a focus or caustic lies at the detector"
+    if not np.all(found):
+        return "rays reach only a part of the detector (the way ends at a surface's edge or at total reflection)"
+    if channel.has_power and _several_rays(channel, setup.spots[0]):
+        return "several rays reach the same pixel, inside a caustic,"
+    return ""
 
 
 def _several_rays(channel: Channel, spot: np.ndarray) -> bool:

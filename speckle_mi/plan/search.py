@@ -253,7 +253,7 @@ class Search:
         if steps not in self._sequences:
             if len(self._sequences) >= MOST_SEQUENCES or len(steps) >= MAX_INTERACTIONS:
                 return None
-            if self._bounces(steps) or self._is_trapped(steps, interactions):
+            if self._bounces(steps) or self._is_trapped(interactions):
                 return None
             self._sequences[steps] = _Sequence(steps, interactions, inside, left)
             self._waiting.append(self._sequences[steps])
@@ -268,11 +268,10 @@ class Search:
         return closed and all(step[0] == number for step in steps[-MOST_REFLECTIONS - 1 :])
 
     @staticmethod
-    def _is_trapped(steps: tuple[Step, ...], interactions: tuple[Interaction, ...]) -> bool:
+    def _is_trapped(interactions: tuple[Interaction, ...]) -> bool:
         """Whether light has been totally reflected inside a glass more often than is followed."""
-        last = list(zip(steps, interactions, strict=True))[-MOST_TOTAL - 1 :]
-        total = [step[2] == "reflect" and interaction.index_before != 1.0 for step, interaction in last]
-        return len(last) > MOST_TOTAL and all(total)
+        last = interactions[-MOST_TOTAL - 1 :]
+        return len(last) > MOST_TOTAL and all(interaction.reflects_inside for interaction in last)
 
     def _arrive(self, sequence: _Sequence, end: int | None, side: int, starts, launches) -> None:
         self._arrived.setdefault((sequence.steps, end, side), []).append((starts, launches))
@@ -291,24 +290,20 @@ class Search:
 
     def _aim_from(self, sequence: _Sequence) -> None:
         """Aims at everything that the rays of a sequence have not met by themselves."""
-        if not sequence.starts:
+        if not sequence.starts or sequence.inside != AIR:
             return
-        ends = [(None, side) for side in (0,)] + [
-            (n, side) for n, element in enumerate(self._meetings.elements) if element.kind == "opening"
-            for side in (-1, 1)
-        ]  # fmt: skip
-        arrived = {(end, side) for steps, end, side in self._arrived if steps == sequence.steps}
-        if sequence.inside == AIR:
-            if not any(end is None for end, _ in arrived):
-                self._aim_at(sequence, detector_plane(self._grid).surface, on_pixels(self._grid, _SPREAD), None)
-            for number in dict.fromkeys(end for end, _ in ends if end is not None):
-                if not any(end == number for end, _ in arrived) and (number, 0) != sequence.left:
-                    face = self._meetings.elements[number].faces[0]
-                    self._aim_at(sequence, face, on_face(face, False, _SPREAD), None)
-            for number, element in enumerate(self._meetings.elements):
-                for place, face in enumerate(element.faces if element.kind in ("mirror", "glass") else ()):
-                    if (number, place) not in sequence.met and (number, place) != sequence.left:
-                        self._aim_at(sequence, *self._plane_at(sequence, face, element.closed), (number, place))
+        elements = self._meetings.elements
+        arrived = {end for steps, end, _ in self._arrived if steps == sequence.steps}
+        if None not in arrived:
+            self._aim_at(sequence, detector_plane(self._grid).surface, on_pixels(self._grid, _SPREAD))
+        for number, element in enumerate(elements):
+            if element.kind == "opening" and number not in arrived and (number, 0) != sequence.left:
+                face = element.faces[0]
+                self._aim_at(sequence, face, on_face(face, False, _SPREAD))
+        for number, element in enumerate(elements):
+            for place, face in enumerate(element.faces if element.kind in ("mirror", "glass") else ()):
+                if (number, place) not in sequence.met and (number, place) != sequence.left:
+                    self._aim_at(sequence, *self._plane_at(sequence, face, element.closed))
 
     def _plane_at(self, sequence: _Sequence, face: Surface, closed: bool) -> tuple[Surface, np.ndarray]:
         """A plane through a face, and places on it that are aimed at."""
@@ -325,7 +320,7 @@ class Search:
         plane = Surface(Frame(centre, axes_along(axis)))
         return plane, on_plane(plane.frame, 0.9 * np.array([radius, radius]), _SPREAD, (0.0, 0.0))
 
-    def _aim_at(self, sequence: _Sequence, plane: Surface, targets: np.ndarray, face: tuple[int, int] | None) -> None:
+    def _aim_at(self, sequence: _Sequence, plane: Surface, targets: np.ndarray) -> None:
         """Follows the rays over a sequence that are aimed at targets (k, 3) in a plane, closing in on a narrow way."""
         if not sequence.steps or not self._may_reach(sequence, targets):
             return  # from the start itself rays have gone to every face

@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 from ..geometry.frames import Frame
 from ..geometry.pose import Pose
+from ..scattering.beam import TRUNCATION
 from ..scene.assembly import Assembly, Spot
 from .tracer import Tracer
 
@@ -28,3 +31,27 @@ class Setup:
     def spot(self) -> Spot:
         """Middle of what scatters."""
         return self.assembly.spot_at(self.frame)
+
+    @cached_property
+    def spots(self) -> np.ndarray:
+        """Places that stand for all that scatters, (n, 3): its middle and points around it as far as it is summed.
+
+        The middle comes first, but for the user's own points.
+        """
+        target = self.assembly.target
+        if target.points is not None:
+            places = self.frame.to_world(target.points.points)
+            return np.unique(
+                np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
+                axis=0,
+            )
+        beam, spot, normal = self.assembly.beam, self.spot.point, self.spot.normal
+        largest = 0.5 * float(np.ptp(target.surface.facets.bounds))
+        # An ellipse, longest where the beam runs along the surface.
+        along = beam.axis - (beam.axis @ normal) * normal
+        first = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else self.frame.axes[:, 0]
+        second = np.cross(normal, first)
+        across = min(TRUNCATION * beam.radius_at(spot), largest)
+        sizes = (min(across / max(abs(float(normal @ beam.axis)), 1e-3), largest), across)
+        ends = (size * sign * axis for size, axis in zip(sizes, (first, second), strict=True) for sign in (-1, 1))
+        return np.array([spot, *(spot + end for end in ends)])
