@@ -34,16 +34,20 @@ class FrameResult:
 
 
 def header_of(
-    assembly: Assembly, pose: Pose, count: int, stages: tuple[Stage, ...], error: float, warnings: list[str]
-) -> dict:
-    """What an image's file says of it: everything that it was made with, units in the names."""
+    assembly: Assembly, scene_hash: str, pose: Pose, count: int, stages: tuple[Stage, ...], error: float,
+    warnings: list[str],
+) -> dict:  # fmt: skip
+    """What an image's file says of it: everything that it was made with, units in the names.
+
+    scene_hash: the assembly's fingerprint.
+    """
     grid, frame = assembly.detector, assembly.target.frame
     return {
         "wavelength_nm": round(assembly.vacuum_wavelength * 1e6, 9),
         "pixel_pitch_mm": grid.pitch,
         "pose": str(pose),
         "seed": assembly.seed,
-        "scene_hash": assembly.fingerprint(),
+        "scene_hash": scene_hash,
         "method": assembly.options.method,
         "tolerance": assembly.options.tolerance,
         "phase_sign": "+ikL",

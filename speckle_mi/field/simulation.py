@@ -99,7 +99,9 @@ class Simulation:
         warnings += plan.warnings
         if error > setup.assembly.options.tolerance:
             warnings.append(_beyond_tolerance(error, setup.assembly.options.tolerance, stages))
-        header = header_of(setup.assembly, setup.pose, scatterers.count, stages, error, warnings)
+        # No seed is in the hash: of the assembly that all frames share it is computed once.
+        scene_hash = (self.assembly if options is None else setup.assembly).fingerprint()
+        header = header_of(setup.assembly, scene_hash, setup.pose, scatterers.count, stages, error, warnings)
         image = FieldImage(intensity, centre, header)
         return FrameResult(image, scatterers, stages, error, tuple(warnings), time.perf_counter() - began)
 

@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.pairs import all_pairs
 from ..geometry.plane import PlaneGrid, PlanePoints
-from ..optics.aim import aim, all_pairs
+from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
 from ..plan.places import FINE, detector_places, hole_places

@@ -91,11 +91,6 @@ class AimedPaths:
         return self.amplitude * np.array([1.0, -1.0j, -1.0, 1.0j])[self.caustics % 4]
 
 
-def all_pairs(sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and ends (n m, 3) of the rays from every source (n, 3) to every target (m, 3), source by source."""
-    return np.repeat(sources, len(targets), axis=0), np.tile(targets, (len(sources), 1))
-
-
 def aim(sequence: Sequence, sources: np.ndarray, targets: np.ndarray) -> AimedPaths:
     """Rays from ``sources`` (n, 3) through ``targets`` (n, 3) on the last surface of ``sequence``, world [mm].
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from .aim import AimedPaths, aim, all_pairs
+from ..geometry.pairs import all_pairs
+from .aim import AimedPaths, aim
 from .sequence import Sequence
 from .trace import RayStatus
 

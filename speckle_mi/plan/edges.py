@@ -14,7 +14,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.outline import Circle
-from ..optics.aim import aim, all_pairs
+from ..geometry.pairs import all_pairs
+from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes

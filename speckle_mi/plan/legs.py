@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..optics.aim import aim, all_pairs
+from ..geometry.pairs import all_pairs
+from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import trace
 from .way import Channel, Rim, without_rims

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from ..errors import InputError
+from ..geometry.pairs import all_pairs
 from ..geometry.plane import PlaneGrid
-from ..optics.aim import aim, all_pairs
+from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import trace
 from ..optics.unfold import unfold

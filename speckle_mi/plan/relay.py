@@ -14,7 +14,8 @@ import numpy as np
 
 from ..geometry.frames import Frame
 from ..geometry.outline import Circle
-from ..optics.aim import aim, all_pairs
+from ..geometry.pairs import all_pairs
+from ..optics.aim import aim
 from ..optics.sequence import Sequence
 from ..optics.surface import Surface
 from .fresnel import edge_wave, fresnel_distance

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..geometry.frames import Frame
-from ..optics.aim import aim, all_pairs
+from ..geometry.pairs import all_pairs
+from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace

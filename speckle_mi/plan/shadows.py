@@ -13,8 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from ..geometry.pairs import all_pairs
 from ..geometry.plane import PlaneGrid
-from ..optics.aim import aim, all_pairs
+from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
 from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix

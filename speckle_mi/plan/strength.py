@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry.pairs import all_pairs
 from ..geometry.plane import PlaneGrid
-from ..optics.aim import aim, all_pairs
+from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import trace

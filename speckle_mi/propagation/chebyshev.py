@@ -21,13 +21,12 @@ def interpolation_matrix(count: int, places: np.ndarray) -> np.ndarray:
         return np.ones((len(places), 1))
     nodes = chebyshev_nodes(count)
     signs = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin((np.arange(count) + 0.5) * np.pi / count)
-    difference = places[:, None] - nodes
-    row, column = np.nonzero(difference == 0.0)
-    difference[row, column] = 1.0
-    matrix = signs / difference
-    matrix /= matrix.sum(axis=1, keepdims=True)
-    matrix[row] = 0.0
-    matrix[row, column] = 1.0
+    with np.errstate(divide="ignore", invalid="ignore"):  # a place on a node, mended below
+        matrix = signs / (places[:, None] - nodes)
+        total = matrix.sum(axis=1)
+        matrix /= total[:, None]
+    on_node = np.isinf(total)
+    matrix[on_node] = places[on_node, None] == nodes
     return matrix
 
 
