@@ -13,9 +13,14 @@ LONGEST_REASON = 120
 """Letters of a reader's message that are passed on."""
 
 
+def first_line(error: Exception) -> str:
+    """What a reader says is wrong, or the name of its error."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
 def reason(error: Exception) -> str:
     """What a reader says is wrong, in one short line."""
-    line = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    line = first_line(error)
     return line if len(line) <= LONGEST_REASON else line[:LONGEST_REASON] + " ..."
 
 
