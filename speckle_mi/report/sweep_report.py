@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 from collections.abc import Iterable
@@ -16,7 +15,7 @@ from ..experiments.expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_
 from ..experiments.sweep_result import FrameRecord, SweepResult, SweepSettings
 from ..field.simulation import plan_of
 from ..geometry.pose import DEGREES_OF_FREEDOM, is_rotation
-from ..machine.files import replacing, write_json
+from ..machine.files import write_csv, write_json
 from ..machine.system import system_information
 from ..measurement.sensitivity import Sensitivity, fit_sensitivity
 from ..plan.plan import Plan
@@ -34,12 +33,8 @@ def unit_of(dof: str) -> str:
 
 def write_table(path: str | os.PathLike, records: Iterable[FrameRecord]) -> None:
     """Writes a row a frame; numbers that were not measured are empty."""
-    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [column.name for column in fields(FrameRecord)])
-        writer.writeheader()
-        for record in records:
-            row = asdict(record)
-            writer.writerow({name: "" if _is_nan(value) else value for name, value in row.items()})
+    rows = ({name: None if _is_nan(value) else value for name, value in asdict(record).items()} for record in records)
+    write_csv(path, [column.name for column in fields(FrameRecord)], rows)
 
 
 def write_summary(path: str | os.PathLike, summary: dict) -> None:
