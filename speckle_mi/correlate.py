@@ -84,9 +84,9 @@ def _comparer(arguments) -> Callable[[str, int], dict]:
     # Not at the top: a command answers interrupts before it imports what takes time.
     from .images.field_image import FieldImageError
     from .images.pictures import read_image
-    from .images.placing import middle_offset, on_common_pixels
+    from .images.placing import on_common_pixels
     from .machine.quiet import muted
-    from .measurement.compare import Comparison, common_pitch
+    from .measurement.compare import Comparison, centres, common_pitch
     from .measurement.correction import read_correction
     from .measurement.covariance import checked_image
 
@@ -127,27 +127,19 @@ def _comparer(arguments) -> Callable[[str, int], dict]:
         result = made[key].with_moved(other, note=note)
         if note:
             # Of what each image shows, from the middle of the canvas.
-            result |= _centres(reference, moved, middle_offset(reference), middle_offset(moved), pitch)
+            result |= centres(_centre_on_canvas(reference), _centre_on_canvas(moved), made[key].um)
         return result
 
     return compared
 
 
-def _centres(reference, moved, offset, moved_offset, pitch: float | None) -> dict:
+def _centre_on_canvas(image) -> tuple[float, float]:
+    """Centre of gravity (u, v) [px] of an image from the middle of its canvas."""
+    from .images.placing import middle_offset
     from .measurement.speckle_statistics import centre_of_gravity
 
-    um = math.nan if pitch is None else 1e3 * pitch
-    places = {
-        name: [c + o for c, o in zip(centre_of_gravity(image.intensity), start)]
-        for name, image, start in (("reference", reference, offset), ("moved", moved, moved_offset))
-    }
-    places["shift"] = [b - a for a, b in zip(places["reference"], places["moved"])]
-    return {
-        f"cog_{name}_{axis}_{unit}": place * scale
-        for name, pair in places.items()
-        for axis, place in zip("uv", pair)
-        for unit, scale in (("px", 1.0), ("um", um))
-    }
+    u, v = (c + o for c, o in zip(centre_of_gravity(image.intensity), middle_offset(image)))
+    return u, v
 
 
 def _known(result: dict) -> dict:

@@ -136,6 +136,15 @@ def test_a_fit_that_is_not_asked_for_keeps_shape(deformed):
     assert rotation["rotation_deg"] == pytest.approx(math.degrees(ROTATION), rel=0.1)
 
 
+def test_a_pattern_with_a_dark_middle_can_be_fitted_too():
+    reference, moved = shifted_pair((200, 200), 4.0, (2.3, 3.4), 1)
+    reference[84:116, 84:116] = 0.0
+    result = Comparison(reference, None, 12, fit="rotation").with_moved(moved)
+    assert result["status"] == "ok" and min(result["window"]) > 100
+    assert abs(result["rotation_deg"]) < 0.02
+    assert (result["fit_shift_u_px"], result["fit_shift_v_px"]) == pytest.approx((2.3, 3.4), abs=0.02)
+
+
 def test_what_is_no_fit_is_refused(deformed):
     with pytest.raises(ValueError, match="bend"):
         Comparison(deformed[0], None, 64, fit="bend")

@@ -10,6 +10,7 @@ from ..geometry.outline import Circle
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import trace
+from ..plan.plan import Plan
 from ..plan.way import Channel
 from ..scene.assembly import Assembly
 from .chief_ray import STEP, ChiefRay, SeenAxes, Zones, axes_as_seen, chief_ray, launch_to, opening_middle
@@ -22,13 +23,14 @@ AXES = (*PATTERN_AXES, *CENTRE_AXES)
 gravity."""
 
 
-def expected_sensitivity(assembly: Assembly) -> dict[str, np.ndarray | None]:
+def expected_sensitivity(assembly: Assembly, plan: Plan | None = None) -> dict[str, np.ndarray | None]:
     """Sensitivities (6,) [mm/mm, mm/deg] to the six motions for every axis, None where there is no theory.
 
     There is none where the light comes by several ways, or no ray leads from the spot to the detector's middle.
+    plan: of the assembly at rest, where it is known already.
     """
     expected: dict[str, np.ndarray | None] = dict.fromkeys(AXES)
-    plan = plan_of(assembly)
+    plan = plan or plan_of(assembly)
     if len(plan.channels) != 1:
         return expected
     channel = plan.channels[0]
@@ -49,13 +51,15 @@ def on_all_axes(matrix: np.ndarray, assembly: Assembly, seen: SeenAxes) -> np.nd
     return np.concatenate([matrix, theory.project_on_target(matrix, seen.u, seen.v, assembly.target.frame.axes)])
 
 
-def expected_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -> np.ndarray | None:
+def expected_correlation(
+    assembly: Assembly, dof: str, displacements: np.ndarray, plan: Plan | None = None
+) -> np.ndarray | None:
     """Peak correlation (n,) that a motion leaves, None where there is no theory.
 
     Without a lens the material's motion across the Gaussian beam counts; with one, the motion of the light across the
-    circular pupil.
+    circular pupil. plan: of the assembly at rest, where it is known already.
     """
-    channels = plan_of(assembly).channels
+    channels = (plan or plan_of(assembly)).channels
     if len(channels) != 1:
         return None
     if not channels[0].has_power:

@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..field.simulation import Simulation
+from ..field.simulation import Simulation, plan_of
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..images.exr import read_field, write_field
 from ..images.field_image import FieldImage, FieldImageError
 from ..machine.progress import progress_bars
 from ..measurement.correlator import Correlator
 from ..measurement.speckle_statistics import centre_of_gravity, contrast
-from ..field.simulation import plan_of
 from ..scene.assembly import Assembly
 from ..version import __version__
 from .chief_ray import SeenAxes, axes_as_seen

@@ -14,7 +14,7 @@ from ..machine.memory import excess
 from .exr_layout import damage
 from .colours import LUMINANCE, luminance_weights
 from .field_image import FieldImage, FieldImageError
-from .pages import page_number
+from .pages import first_line, page_number
 
 _DETAILS = "speckle_mi"
 
@@ -128,7 +128,7 @@ def read_header(path: str | os.PathLike) -> dict:
         with OpenEXR.File(str(path), header_only=True) as file:
             attributes = dict(file.header())
     except Exception as error:
-        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
+        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({first_line(error)})") from None
     return _header(attributes)
 
 
@@ -143,7 +143,7 @@ def _read(path: Path, page: int | None) -> tuple[dict[str, np.ndarray], dict]:
             attributes = dict(file.header(part))  # the file empties its own when it is closed
     except Exception as error:  # the reader raises RuntimeError, ValueError and others of its own
         raise FieldImageError(
-            f"{path}: cannot be read, the file is damaged or cut short ({_first_line(error)})"
+            f"{path}: cannot be read, the file is damaged or cut short ({first_line(error)})"
         ) from None
     (left, top), (right, bottom) = _window(attributes["dataWindow"])
     shape = (bottom - top + 1, right - left + 1)
@@ -161,7 +161,7 @@ def _check_size(path: Path, page: int | None) -> int:
         with OpenEXR.File(str(path), header_only=True) as file:
             parts = [dict(part.header) for part in file.parts]
     except Exception as error:
-        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
+        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({first_line(error)})") from None
     number = page_number(path, len(parts), page)
     header = parts[number]
     if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
@@ -170,7 +170,7 @@ def _check_size(path: Path, page: int | None) -> int:
         (left, top), (right, bottom) = _window(header["dataWindow"])
         channels = max(len(part["channels"]) for part in parts)
     except Exception as error:
-        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({_first_line(error)})") from None
+        raise FieldImageError(f"{path}: cannot be read, its header is damaged ({first_line(error)})") from None
     columns, rows, size = right - left + 1, bottom - top + 1, path.stat().st_size
     # Two bytes a half-precision value, and no codec of OpenEXR packs a thousand of them into one.
     if columns < 1 or rows < 1 or 2 * columns * rows * max(channels, 1) > LARGEST_RATIO * size:
@@ -181,10 +181,6 @@ def _check_size(path: Path, page: int | None) -> int:
     if too_much := excess(_BYTES_WHILE_READING * columns * rows * channels):
         raise FieldImageError(f"{path}: its {columns} x {rows} pixels in {channels} channels {too_much}")
     return number
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def _attribute(value: object) -> object:

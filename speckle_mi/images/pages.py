@@ -1,4 +1,4 @@
-"""What files of pictures have in common: several pages, and a camera that was held upright."""
+"""What files of pictures have in common: memory, several pages, what is damaged, a camera that was held upright."""
 
 from __future__ import annotations
 
@@ -8,15 +8,29 @@ import numpy as np
 
 from .field_image import FieldImageError
 
+BYTES_WHILE_READING = 16
+"""Memory of one value while it is read: as it comes, in double precision and as it is kept."""
 
 LONGEST_REASON = 120
 """Letters of a reader's message that are passed on."""
 
 
+def first_line(error: Exception) -> str:
+    """What a reader says is wrong, or the name of its error."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
+
+
 def reason(error: Exception) -> str:
     """What a reader says is wrong, in one short line."""
-    line = (str(error).strip().splitlines() or [type(error).__name__])[0]
+    line = first_line(error)
     return line if len(line) <= LONGEST_REASON else line[:LONGEST_REASON] + " ..."
+
+
+def damaged(path: Path, error: Exception) -> FieldImageError:
+    """The error for a file that no reader can make sense of."""
+    return FieldImageError(
+        f"{path}: is no image or a damaged one, must be OpenEXR, PNG, TIFF or JPEG ({reason(error)})"
+    )
 
 
 def page_number(path: Path, count: int, page: int | None) -> int:

@@ -11,10 +11,7 @@ import numpy as np
 from ..machine.memory import excess
 from .colours import luminance
 from .field_image import FieldImageError
-from .pages import oriented, page_number, reason
-
-BYTES_WHILE_READING = 16
-"""Memory of one value while it is read: as it comes, in double precision and as it is kept."""
+from .pages import BYTES_WHILE_READING, damaged, oriented, page_number
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -42,9 +39,7 @@ def read_raster(path: Path, page: int | None) -> np.ndarray:
     except FieldImageError:
         raise
     except Exception as error:  # every format's reader raises its own
-        raise FieldImageError(
-            f"{path}: is no image or a damaged one, must be OpenEXR, PNG, TIFF or JPEG ({reason(error)})"
-        ) from error
+        raise damaged(path, error) from error
     return oriented(values, orientation)
 
 

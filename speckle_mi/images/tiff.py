@@ -12,10 +12,7 @@ import numpy as np
 from ..machine.memory import excess
 from .colours import cmyk_luminance, luminance
 from .field_image import FieldImageError
-from .pages import oriented, page_number, reason
-
-BYTES_WHILE_READING = 16
-"""Memory of one value while it is read: as it comes, in double precision and as it is kept."""
+from .pages import BYTES_WHILE_READING, damaged, oriented, page_number
 
 _SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
@@ -50,9 +47,7 @@ def read_tiff(path: Path, page: int | None) -> np.ndarray:
         except FieldImageError:
             raise
         except Exception as error:  # the reader raises errors of its own, and of every codec
-            raise FieldImageError(
-                f"{path}: is no image or a damaged one, must be OpenEXR, PNG, TIFF or JPEG ({reason(error)})"
-            ) from None
+            raise damaged(path, error) from None
 
 
 def _check(path: Path, page) -> None:

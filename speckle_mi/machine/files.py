@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import math
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
@@ -126,6 +127,14 @@ def write_json(path: str | os.PathLike, content: dict) -> None:
     """Writes JSON, whole or not at all; NaN and infinities become null."""
     with replacing(path) as temporary:
         temporary.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_csv(path: str | os.PathLike, names: Sequence[str], rows: Iterable[dict]) -> None:
+    """Writes a table with the columns ``names``, whole or not at all; None becomes an empty cell."""
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, names)
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def _plain(value: object) -> object:

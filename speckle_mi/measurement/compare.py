@@ -21,7 +21,7 @@ class Comparison:
 
     reference: (rows, columns) intensity. pitch: [mm], None if unknown (lengths in um are then NaN). window, mask,
     smoothing: of `Correlator`, which says what raises. fit: "shift", or one of `FITS` to be told of rotation and strain
-    too. offset: (u, v) [px] of the image's middle from the point that centres of gravity are given from.
+    too.
     """
 
     def __init__(
@@ -32,22 +32,19 @@ class Comparison:
         fit: str = "shift",
         mask: np.ndarray | None = None,
         smoothing: float | None = None,
-        offset: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         if fit not in FITS:
             raise InputError(f"fit = {fit}: must be one of {', '.join(FITS)}")
         self.correlator = Correlator(reference, window, mask=mask, smoothing=smoothing)
         self.um = math.nan if pitch is None else 1e3 * pitch
         self.fit = fit
-        self.centre = _centre(reference, offset)
+        self.centre = centre_of_gravity(reference)
         self.contrast = contrast(middle(np.asarray(reference), LARGEST_PIECE))
         self.sizes = speckle_size(middle(np.asarray(reference), LARGEST_PIECE))
 
-    def with_moved(self, moved: np.ndarray, offset: tuple[float, float] = (0.0, 0.0), note: str = "") -> dict:
-        """What the command prints of a moved image (rows, columns); its centre of gravity is given from ``offset``."""
+    def with_moved(self, moved: np.ndarray, note: str = "") -> dict:
+        """What the command prints of a moved image (rows, columns)."""
         shift, um = self.correlator.shift(moved), self.um
-        centres = {"reference": self.centre, "moved": _centre(moved, offset)}
-        centres["shift"] = tuple(b - a for a, b in zip(centres["reference"], centres["moved"]))
         result = {
             "shift_u_px": shift.u_px,
             "shift_v_px": shift.v_px,
@@ -63,8 +60,7 @@ class Comparison:
             "message": "; ".join(filter(None, (shift.message, note))),
             "significance": shift.significance,
             "window": list(shift.window),
-            **{f"cog_{name}_{axis}_px": c[i] for name, c in centres.items() for i, axis in enumerate("uv")},
-            **{f"cog_{name}_{axis}_um": c[i] * um for name, c in centres.items() for i, axis in enumerate("uv")},
+            **centres(self.centre, centre_of_gravity(moved), um),
             "contrast_reference": self.contrast,
             "contrast_moved": contrast(middle(np.asarray(moved), LARGEST_PIECE)),
             "speckle_size_u_px": self.sizes[0],
@@ -80,9 +76,15 @@ class Comparison:
         return result
 
 
-def _centre(image: np.ndarray, offset: tuple[float, float]) -> tuple[float, float]:
-    u, v = centre_of_gravity(image)
-    return u + offset[0], v + offset[1]
+def centres(reference: tuple[float, float], moved: tuple[float, float], um: float) -> dict[str, float]:
+    """What the command prints of two centres of gravity (u, v) [px]; um: the pixel pitch [um], NaN if unknown."""
+    places = {"reference": reference, "moved": moved, "shift": tuple(b - a for a, b in zip(reference, moved))}
+    return {
+        f"cog_{name}_{axis}_{unit}": place * scale
+        for unit, scale in (("px", 1.0), ("um", um))
+        for name, pair in places.items()
+        for axis, place in zip("uv", pair)
+    }
 
 
 def _deformed(fit: str, found: Deformation | None) -> dict:

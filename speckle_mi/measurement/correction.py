@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ..errors import InputError
-from .defects import interpolated, without_mosaic
+from .defects import interpolated, sublattices, without_mosaic
 
 LEAST_FLAT = 0.05
 """Flat field, relative to its mean, below which a pixel sees too little to be corrected."""
@@ -37,7 +38,7 @@ class Correction:
         if self.dark is not None:
             values = values - self.dark
         if self.flat is not None:
-            values = values / self._sensitivity()
+            values = values / self._sensitivity
         if self.mosaic is not None:
             values = self._one_colour(np.asarray(values, dtype=float))
         return values
@@ -46,25 +47,27 @@ class Correction:
         """(rows, columns) bool, False where corrected images say nothing; None if they say something everywhere."""
         masks = [] if self.mask is None else [self.mask]
         if self.flat is not None:
-            masks.append(self._light() > LEAST_FLAT * self._light().mean())
+            masks.append(self.light > LEAST_FLAT * self.light.mean())
         return np.logical_and.reduce(masks) if masks else None
 
-    def _light(self) -> np.ndarray:
+    @cached_property
+    def light(self) -> np.ndarray:
+        """The flat field less the dark picture, where there is a flat field."""
         return self.flat if self.dark is None else self.flat - self.dark
 
+    @cached_property
     def _sensitivity(self) -> np.ndarray:
-        light = self._light()
-        relative = light / light.mean()
+        relative = self.light / self.light.mean()
         return np.where(relative > LEAST_FLAT, relative, 1.0)
 
     def _one_colour(self, values: np.ndarray) -> np.ndarray:
-        places = {(i // 2, i % 2): letter for i, letter in enumerate(self.mosaic)}
+        parts = sublattices(values)
         if self.colour is not None:
-            return interpolated(values, [place for place, letter in places.items() if letter == self.colour])
-        means = np.array([[float(values[row::2, column::2].mean()) for column in (0, 1)] for row in (0, 1)])
+            return interpolated(values, [place for place, letter in zip(parts, self.mosaic) if letter == self.colour])
+        means = np.array([part.mean() for part in parts.values()]).reshape(2, 2)
+        letters = np.array(list(self.mosaic)).reshape(2, 2)
         for letter in set(self.mosaic):  # filters of one colour are alike
-            same = np.array([[places[row, column] == letter for column in (0, 1)] for row in (0, 1)])
-            means[same] = means[same].mean()
+            means[letters == letter] = means[letters == letter].mean()
         return without_mosaic(values, np.maximum(means, 0.0)) if means.max() > 0.0 else values
 
 
@@ -105,6 +108,6 @@ def read_correction(
     if mask is not None and not mask.any():
         raise InputError("--mask: is black everywhere, must be white (not 0) where the images are to be looked at")
     found = Correction(dark, flat, None if mask is None else mask > 0, mosaic, colour)
-    if flat is not None and not (dark is not None and dark.shape != flat.shape) and not found._light().mean() > 0.0:
+    if flat is not None and not (dark is not None and dark.shape != flat.shape) and not found.light.mean() > 0.0:
         raise InputError("--flat: is not brighter than the dark picture, must be a picture of even light")
     return found

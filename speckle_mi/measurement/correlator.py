@@ -128,14 +128,9 @@ class Correlator:
             found = self._middle.shift(np.asarray(moved)[self._place])
             if found.ok or found.status == "ambiguous":
                 return found
-        if self._image is None:
-            self._prepare()
-        image = as_image(moved, "moved image")
-        raw, (image, defects, mosaic) = image, _cleaned(image, self._mask, self._defects.usual)
-        smoothing = self._smoothing or _uneven(image)
-        matcher, pattern = self._matcher(smoothing), _pattern(image, smoothing)
+        matcher, pattern, defects, mosaic = self._looked_at(moved)
         for name, values, given, found in (
-            ("reference", matcher, self._raw, self._defects), ("moved", pattern, raw, defects)
+            ("reference", matcher, self._raw, self._defects), ("moved", pattern, moved, defects)
         ):  # fmt: skip
             if values is not None:
                 continue
@@ -156,12 +151,16 @@ class Correlator:
             return None
         if self._middle is not None and shift.window == self._middle.window:
             return self._middle.deformation(np.asarray(moved)[self._place], shift, fit)
+        matcher, pattern, _, _ = self._looked_at(moved)
+        return None if matcher is None or pattern is None else matcher.deformation(pattern, shift, fit)
+
+    def _looked_at(self, moved: np.ndarray) -> tuple[Matcher | None, np.ndarray | None, Defects, bool]:
+        """The reference's window and the moved pattern, None without one; what stood out; whether it was a mosaic."""
         if self._image is None:
             self._prepare()
-        image, _, _ = _cleaned(as_image(moved, "moved image"), self._mask, self._defects.usual)
+        image, defects, mosaic = _cleaned(as_image(moved, "moved image"), self._mask, self._defects.usual)
         smoothing = self._smoothing or _uneven(image)
-        matcher, pattern = self._matcher(smoothing), _pattern(image, smoothing)
-        return None if matcher is None or pattern is None else matcher.deformation(pattern, shift, fit)
+        return self._matcher(smoothing), _pattern(image, smoothing), defects, mosaic
 
     def _matcher(self, smoothing: float | None) -> Matcher | None:
         """The reference's window, of its pattern without what a smoothing takes off; None without a pattern."""

@@ -82,12 +82,6 @@ class Defects:
         )
         return Defects(self.pixels & other.pixels, columns, rows)
 
-    def united(self, other: Defects) -> Defects:
-        columns, rows = (
-            tuple(sorted({*a} | {*b})) for a, b in ((self.columns, other.columns), (self.rows, other.rows))
-        )
-        return Defects(self.pixels | other.pixels, columns, rows)
-
     def __str__(self) -> str:
         counts = (int(self.pixels.sum()), "pixel"), (len(self.columns), "column"), (len(self.rows), "row")
         return ", ".join(f"{n} {name}{'s' * (n > 1)}" for n, name in counts if n)
@@ -134,11 +128,10 @@ def _least(reach: int, usual: float) -> float:
 
 
 def _outliers(
-    image: np.ndarray, level: float, bright: tuple[np.ndarray, np.ndarray], reach: int, usual: float
+    image: np.ndarray, level: float, place: tuple[np.ndarray, np.ndarray], reach: int, usual: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Those of the ``bright`` places (v, u) above all on a border around them by more than texture explains."""
+    """Those of the places (v, u) above all on a border around them by more than texture explains."""
     least = _least(reach, usual)
-    place = bright
     for offset in _offsets(image, reach):  # few are left after the first
         kept = _excess(image, level, place, offset) > least
         place = place[0][kept], place[1][kept]
@@ -225,12 +218,12 @@ def repaired(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
 def _patches(mask: np.ndarray, reach: int = 4) -> list[tuple[slice, slice]]:
     """Pieces of the image that hold the masked regions and what is around them."""
     grown = ndimage.binary_dilation(mask, np.ones((2 * reach + 1, 2 * reach + 1)))
-    return [place for place in ndimage.find_objects(ndimage.label(grown)[0])]
+    return ndimage.find_objects(ndimage.label(grown)[0])
 
 
 def _smooth_filling(image: np.ndarray, mask: np.ndarray, sigma: float = 4.0) -> np.ndarray:
     known = np.where(mask, 0.0, 1.0)
-    filling = np.full(image.shape, float(image[~mask].mean()))
+    filling = float(image[~mask].mean())
     while True:
         weight = ndimage.gaussian_filter(known, sigma)
         total = ndimage.gaussian_filter(np.where(mask, 0.0, image), sigma)

@@ -67,19 +67,23 @@ def smooth_mean(image: np.ndarray, sigma: float) -> np.ndarray:
     return np.maximum(mean, 0.0) if image.min() >= 0.0 else mean
 
 
+def _size_of_texture(image: np.ndarray) -> float:
+    """Size [px] of the texture of an image as it stands; NaN without any, inf if unbounded."""
+    pattern = deviation(image)
+    return math.nan if pattern is None else texture_size(autocovariance(pattern))
+
+
 def texture_scale(image: np.ndarray) -> float:
     """Size [px] of the finest texture of an image: the speckle size, whatever the envelope. NaN without any."""
     piece = middle(image, SEEN)
     sides = [n for n in piece.shape if n > 1]
     sigma, limit = FIRST, LAST_SHARE * min(sides, default=0)
     while sigma <= limit:
-        pattern = deviation(high_pass(piece, sigma))
-        size = math.nan if pattern is None else texture_size(autocovariance(pattern))
+        size = _size_of_texture(high_pass(piece, sigma))
         if size > NOISE_SIZE and ROOM * size <= sigma:
             return size
         sigma *= 2.0
-    pattern = deviation(piece)
-    return math.nan if pattern is None else texture_size(autocovariance(pattern))
+    return _size_of_texture(piece)
 
 
 def is_uneven(image: np.ndarray, size: float) -> bool:

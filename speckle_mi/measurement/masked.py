@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from skimage.registration import phase_cross_correlation
 
+from .light import middle
+
 OVERLAP = 0.3
 """Least share of the pixels that both images must show, of the most that they show at any displacement."""
 
@@ -23,8 +25,7 @@ def masked_displacement(
 
     All (rows, columns); valid: bool, False where an image says nothing.
     """
-    place = tuple(slice((n - min(n, SIDE)) // 2, (n + min(n, SIDE)) // 2) for n in reference.shape)
-    reference, moved, valid, moved_valid = (image[place] for image in (reference, moved, valid, moved_valid))
+    reference, moved, valid, moved_valid = (middle(image, SIDE) for image in (reference, moved, valid, moved_valid))
     shift, _, _ = phase_cross_correlation(
         reference, moved, reference_mask=valid, moving_mask=moved_valid, overlap_ratio=OVERLAP
     )

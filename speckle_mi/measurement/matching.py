@@ -42,6 +42,9 @@ LEAST_OVERLAP = 1 / 16
 WHOLE_PIXEL = 1.0 / math.sqrt(12.0)
 """Standard uncertainty of a shift known to the whole pixel [px]."""
 
+PATCH_LOBE = (2 * PATCH, 2 * PATCH)
+"""Reach of correlated residuals where the middle of the reference, by which it is judged, is dark [px]."""
+
 DECORRELATION = 0.6
 """K of sigma = K (s^2/n) sqrt((1-c)/c) px, s the speckle size and n the side of the window [px]."""
 
@@ -74,7 +77,15 @@ class Matcher:
 
     @cached_property
     def _subset(self) -> Subset:
-        return Subset(self.reference, self.corner, self.window, self._weight, self.texture.lobe, self.valid)
+        return self._subset_of(self.corner, self.window)
+
+    def _subset_of(self, corner: tuple[int, int], size: tuple[int, int]) -> Subset:
+        reach = self.texture.lobe if self.lit else PATCH_LOBE
+        return Subset(self.reference, corner, size, self._weight, reach, self.valid)
+
+    def _evenly(self, size: tuple[int, int], displacement: tuple[int, int]) -> tuple[int, int]:
+        """First pixel of a template that lies as far before the middle as its displaced copy lies behind it."""
+        return tuple((n - s - d) // 2 for n, s, d in zip(self.shape, size, displacement))
 
     @cached_property
     def _near_template(self) -> tuple[Template, tuple[int, int]]:
@@ -132,9 +143,8 @@ class Matcher:
             )
             return no_shift("not significant", message, self.window, ncc, significance)
         size = tuple(min(w, n - abs(d)) for w, n, d in zip(self.window, self.shape, displacement))
-        start = tuple((n - s - d) // 2 for n, s, d in zip(self.shape, size, displacement))
-        subset = Subset(self.reference, start, size, self._weight, self.texture.lobe, self.valid)
-        result = subset.find(pattern, displacement, np.zeros(2), valid)
+        start = self._evenly(size, displacement)
+        result = self._subset_of(start, size).find(pattern, displacement, np.zeros(2), valid)
         peak = Peak(start, None, min(ncc, 1.0), significance)
         if result is None:
             return self._ambiguous(peak, None)
@@ -175,15 +185,11 @@ class Matcher:
     def deformation(self, pattern: np.ndarray, shift: Shift, fit: str) -> Deformation | None:
         """The mapping of the window that measured ``shift`` onto ``pattern``."""
         displacement = (round(shift.v_px), round(shift.u_px))
-        size = shift.window
-        corner = tuple(
-            c if w == s else (n - s - d) // 2
-            for c, w, s, n, d in zip(self.corner, self.window, size, self.shape, displacement)
-        )
-        subset = Subset(self.reference, corner, size, self._weight, self.texture.lobe, self.valid)
+        size, evenly = shift.window, self._evenly(shift.window, displacement)
+        corner = tuple(c if w == s else e for c, w, s, e in zip(self.corner, self.window, size, evenly))
         start = np.eye(3)
         start[:2, 2] = shift.u_px - displacement[1], shift.v_px - displacement[0]
-        return fit_deformation(subset, pattern, displacement, start, fit)
+        return fit_deformation(self._subset_of(corner, size), pattern, displacement, start, fit)
 
     def _far(self, pattern: np.ndarray, valid: np.ndarray | None) -> Shift:
         """Stage 2: the whole images over their overlap, then a window placed on both patterns."""
@@ -236,9 +242,7 @@ class Matcher:
                     continue
                 if limit == self.window and local.ncc < least:
                     break
-                reach = tuple(2 * r for r in PATCH_LOBE) if not self.lit else self.texture.lobe
-                subset = Subset(self.reference, start, size, self._weight, reach, self.valid)
-                result = subset.find(pattern, displacement, np.array(local.offset), valid)
+                result = self._subset_of(start, size).find(pattern, displacement, np.array(local.offset), valid)
                 local = Peak(local.place, local.offset, local.ncc, peak.significance)
                 return self._found(local, displacement, size, result, "")
         return self._ambiguous(peak, None)
@@ -251,7 +255,7 @@ class Matcher:
         size = tuple(min(w, n - abs(d) - 2 * r) for w, n, d, r in zip(limit, self.shape, displacement, reach))
         if min(size) < 1:
             return None, size, (0, 0)
-        start = tuple((n - s - d) // 2 for n, s, d in zip(self.shape, size, displacement))
+        start = self._evenly(size, displacement)
         piece = self.reference[tuple(slice(i, i + s) for i, s in zip(start, size))]
         around = pattern[tuple(slice(i + d - r, i + d + r + s) for i, d, r, s in zip(start, displacement, reach, size))]
         if deviation(piece) is None or deviation(around) is None:
@@ -297,7 +301,3 @@ class Matcher:
             message = f"shifts of ({u1}, {v1}) and ({u2}, {v2}) px in (u, v) correlate equally well"
             message += ": the pattern repeats itself, take a window that holds what does not repeat"
         return no_shift("ambiguous", message, self.window, peak.ncc, peak.significance)
-
-
-PATCH_LOBE = (PATCH, PATCH)
-"""Reach of correlated residuals where the middle of the reference, by which it is judged, is dark [px]."""

@@ -10,6 +10,8 @@ import numpy as np
 from skimage.registration import phase_cross_correlation
 from skimage.transform import rotate, warp_polar
 
+from .light import middle
+
 SMALLEST, LARGEST = 48, 512
 """Side of the middle pieces that are compared: smallest of any use, and largest that is taken [px]."""
 
@@ -25,16 +27,11 @@ def _polar_spectrum(image: np.ndarray) -> np.ndarray:
     taper = np.hanning(image.shape[0] + 2)[1:-1]
     modulus = np.abs(np.fft.fftshift(np.fft.fft2((image - image.mean()) * taper[:, None] * taper)))
     side = image.shape[0]
-    middle = (side // 2, side // 2)
-    polar = warp_polar(modulus, middle, radius=side // 2, output_shape=(2 * ANGLES, side // 2))[:ANGLES, side // 16 :]
+    centre = (side // 2, side // 2)
+    polar = warp_polar(modulus, centre, radius=side // 2, output_shape=(2 * ANGLES, side // 2))[:ANGLES, side // 16 :]
     # Speckle's spectrum falls off with the radius and has its grain on top: the grain is what turns.
     level = polar.mean(axis=0)
     return (polar - level) / np.maximum(level, NOISE * level.max())
-
-
-def _middle(image: np.ndarray, side: int) -> np.ndarray:
-    top, left = ((n - side) // 2 for n in image.shape)
-    return image[top : top + side, left : left + side]
 
 
 def turns(reference: np.ndarray, moved: np.ndarray) -> list[float]:
@@ -42,7 +39,7 @@ def turns(reference: np.ndarray, moved: np.ndarray) -> list[float]:
     side = min(*reference.shape, LARGEST)
     if side < SMALLEST:
         return []
-    one, other = (_polar_spectrum(_middle(image, side)) for image in (reference, moved))
+    one, other = (_polar_spectrum(middle(image, side)) for image in (reference, moved))
     shift, _, _ = phase_cross_correlation(one, other, upsample_factor=5, normalization=None)
     angle = (-float(shift[0]) * 180.0 / ANGLES + 90.0) % 180.0 - 90.0
     return [angle, angle - 180.0 if angle > 0.0 else angle + 180.0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import os
 from collections.abc import Iterable
@@ -14,10 +13,12 @@ import numpy as np
 from ..experiments import published as paper
 from ..experiments.expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_correlation, expected_sensitivity
 from ..experiments.sweep_result import FrameRecord, SweepResult, SweepSettings
+from ..field.simulation import plan_of
 from ..geometry.pose import DEGREES_OF_FREEDOM, is_rotation
-from ..machine.files import replacing, write_json
+from ..machine.files import write_csv, write_json
 from ..machine.system import system_information
 from ..measurement.sensitivity import Sensitivity, fit_sensitivity
+from ..plan.plan import Plan
 from ..plan.stage import Stage
 from ..scene.assembly import Assembly
 from .plots import plot_decorrelation, plot_shifts, plot_speckle
@@ -32,12 +33,8 @@ def unit_of(dof: str) -> str:
 
 def write_table(path: str | os.PathLike, records: Iterable[FrameRecord]) -> None:
     """Writes a row a frame; numbers that were not measured are empty."""
-    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [column.name for column in fields(FrameRecord)])
-        writer.writeheader()
-        for record in records:
-            row = asdict(record)
-            writer.writerow({name: "" if _is_nan(value) else value for name, value in row.items()})
+    rows = ({name: None if _is_nan(value) else value for name, value in asdict(record).items()} for record in records)
+    write_csv(path, [column.name for column in fields(FrameRecord)], rows)
 
 
 def write_summary(path: str | os.PathLike, summary: dict) -> None:
@@ -47,8 +44,8 @@ def write_summary(path: str | os.PathLike, summary: dict) -> None:
 
 def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) -> dict:
     """Sensitivities of every motion along every axis, with theory, the paper's figures and the errors kept apart."""
-    grid = assembly.detector
-    fits = _fit_all(assembly, settings, result)
+    grid, plan = assembly.detector, plan_of(assembly)
+    fits = _fit_all(assembly, settings, result, plan)
     published = paper.published_assembly(assembly)
     frames = [record.seconds for record in result.records if not _is_nan(record.seconds)]
     lost = sum(record.status != "ok" for record in result.records)
@@ -63,7 +60,7 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
         "seconds_per_frame": float(np.median(frames)) if frames else math.nan,
         "numerical_error": result.numerical_error,
         "sensitivity": {dof: {axis: fit.to_json() for axis, fit in fitted.items()} for dof, fitted in fits.items()},
-        "decorrelation": {dof: _decorrelation(assembly, settings, result, dof) for dof in settings.dofs},
+        "decorrelation": {dof: _decorrelation(assembly, settings, result, dof, plan) for dof in settings.dofs},
         "paper": None if published is None else _paper_comparison(published, fits),
         "warnings": result.warnings,
         "system": system_information(),
@@ -90,8 +87,10 @@ def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, resul
             )
 
 
-def _fit_all(assembly: Assembly, settings: SweepSettings, result: SweepResult) -> dict[str, dict[str, Sensitivity]]:
-    expected = expected_sensitivity(assembly)
+def _fit_all(
+    assembly: Assembly, settings: SweepSettings, result: SweepResult, plan: Plan
+) -> dict[str, dict[str, Sensitivity]]:
+    expected = expected_sensitivity(assembly, plan)
     fits: dict[str, dict[str, Sensitivity]] = {}
     for dof in settings.dofs:
         column = DEGREES_OF_FREEDOM.index(dof)
@@ -110,12 +109,12 @@ def _column(axis: str) -> str:
     return f"{axis}_um" if axis in CENTRE_AXES else f"shift_{axis}_um"
 
 
-def _decorrelation(assembly: Assembly, settings: SweepSettings, result: SweepResult, dof: str) -> dict:
+def _decorrelation(assembly: Assembly, settings: SweepSettings, result: SweepResult, dof: str, plan: Plan) -> dict:
     measured = result.values(dof, "ncc", settings)
     counted = np.isfinite(measured).any(axis=0)
     mean = np.full(len(settings.displacements), np.nan)
     mean[counted] = np.nanmean(measured[:, counted], axis=0)
-    expected = expected_correlation(assembly, dof, settings.displacements)
+    expected = expected_correlation(assembly, dof, settings.displacements, plan)
     return {
         "displacement": settings.displacements.tolist(),
         "ncc": mean.tolist(),
@@ -125,7 +124,8 @@ def _decorrelation(assembly: Assembly, settings: SweepSettings, result: SweepRes
 
 def _correlation_curves(assembly: Assembly, settings: SweepSettings) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     displacements = np.linspace(settings.displacements.min(), settings.displacements.max(), _CURVE_POINTS)
-    curves = {dof: expected_correlation(assembly, dof, displacements) for dof in settings.dofs}
+    plan = plan_of(assembly)
+    curves = {dof: expected_correlation(assembly, dof, displacements, plan) for dof in settings.dofs}
     return {dof: (displacements, curve) for dof, curve in curves.items() if curve is not None}
 
 

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+
+from ...machine.run_times import Timing
 
 _MEASURING = """
 import subprocess, sys, time
@@ -34,8 +37,8 @@ def command_times(folder: Path, scene_xml: str, shape: tuple[int, int], quick: b
     render = ["render", str(scene), "-o", str(folder / "frame.exr"), "--quiet", "--force"]
     runs = [_seconds_and_memory([*render, *small])[0] for _ in range(2 if quick else 4)]
     warm = runs[1:]
-    found = {"start-up and one frame, warm": {"median": float(np.median(warm)), "q1": min(warm), "q3": max(warm),
-             "runs": len(warm), "first": runs[0], "what": "python -m speckle_mi.render"}}  # fmt: skip
+    timing = Timing(float(np.median(warm)), min(warm), max(warm), len(warm), runs[0])
+    found = {"start-up and one frame, warm": asdict(timing) | {"what": "python -m speckle_mi.render"}}
     if quick:
         return found
     # Out to where its light ends, the beam lights nine times the area that point_sources are counted in.
@@ -51,15 +54,8 @@ def command_times(folder: Path, scene_xml: str, shape: tuple[int, int], quick: b
 
 def _single(seconds: float, memory: float | None, what: str) -> dict:
     peak = "" if memory is None else f", peak {memory:.0f} MB"
-    return {
-        "median": seconds,
-        "q1": seconds,
-        "q3": seconds,
-        "runs": 1,
-        "first": seconds,
-        "what": what + peak,
-        "peak_memory_mb": memory,
-    }
+    timing = Timing(seconds, seconds, seconds, 1, seconds)
+    return asdict(timing) | {"what": what + peak, "peak_memory_mb": memory}
 
 
 def _seconds_and_memory(arguments: list[str]) -> tuple[float, float | None]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import csv
 import os
 from dataclasses import asdict, fields
 
 import numpy as np
 
-from ...machine.files import replacing, write_json
+from ...machine.files import write_csv, write_json
 from ...report.terminal import print_machine, print_table, terminal
 from .frame import DOES_NOT_APPLY, LEFT_OUT, MEASURED, Row
 from .scatter import Scatter
@@ -18,11 +17,7 @@ from .subject import Subject
 
 def write_rows(path: str | os.PathLike, rows: list[Row]) -> None:
     """Writes a row a setting; what was not measured is empty."""
-    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [column.name for column in fields(Row)])
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({name: "" if value is None else value for name, value in asdict(row).items()})
+    write_csv(path, [column.name for column in fields(Row)], map(asdict, rows))
 
 
 def write_findings(path: str | os.PathLike, asked: dict, found: Findings, run: dict) -> None:

@@ -48,10 +48,11 @@ class Subject:
         """The user's own scatterers are as many as they are, whatever N1 is asked for."""
         radius, points = assembly.beam.radius, assembly.target.points
         displacement = SHARE_OF_RADIUS * radius if np.isfinite(radius) else MOVED_PIXELS * assembly.detector.pitch
-        expected = expected_sensitivity(assembly)
+        plan = plan_of(assembly)
+        expected = expected_sensitivity(assembly, plan)
         counts = tuple(point_sources) if points is None else (len(points.points),)
         along = {axis: expected[axis] for axis in ("u", "v")}
-        return cls(assembly, name, plan_of(assembly), counts, float(displacement), along)
+        return cls(assembly, name, plan, counts, float(displacement), along)
 
     @property
     def theory_shift(self) -> list[float] | None:

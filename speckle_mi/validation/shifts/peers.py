@@ -26,6 +26,17 @@ def _surface(reference: np.ndarray, moved: np.ndarray, window: int) -> tuple[np.
     return surface, np.unravel_index(int(np.argmax(surface)), surface.shape), np.array(corner)
 
 
+def _followed(
+    reference: np.ndarray, moved: np.ndarray, window: int
+) -> tuple[np.ndarray, np.ndarray, tuple[int, int], tuple[int, int]]:
+    """Middle window, window where its pattern went, first pixel (v, u) of the one and whole distance (v, u) between."""
+    piece, (top, left) = _middle(reference, window)
+    _, peak, origin = _surface(reference, moved, window)
+    dv, du = (int(d) for d in np.subtract(peak, origin))
+    other = moved[top + dv : top + dv + window, left + du : left + du + window]
+    return piece, other, (top, left), (dv, du)
+
+
 def interpolated_ncc(reference: np.ndarray, moved: np.ndarray, window: int) -> tuple[float, float]:
     """Maximum of the correlation surface interpolated by a quintic spline."""
     surface, top, origin = _surface(reference, moved, window)
@@ -75,10 +86,7 @@ def scikit_image(reference: np.ndarray, moved: np.ndarray, window: int) -> tuple
     """
     from skimage.registration import phase_cross_correlation
 
-    piece, (top, left) = _middle(reference, window)
-    _, peak, origin = _surface(reference, moved, window)
-    dv, du = (int(d) for d in np.subtract(peak, origin))
-    other = moved[top + dv : top + dv + window, left + du : left + du + window]
+    piece, other, _, (dv, du) = _followed(reference, moved, window)
     shift, _, _ = phase_cross_correlation(piece, other, upsample_factor=100, normalization=None)
     return du - float(shift[1]), dv - float(shift[0])
 
@@ -87,10 +95,7 @@ def openpiv(reference: np.ndarray, moved: np.ndarray, window: int) -> tuple[floa
     """OpenPIV's window of particle image velocimetry, Gaussian peak; placed where the pattern went. ImportError."""
     from openpiv.pyprocess import extended_search_area_piv
 
-    piece, (top, left) = _middle(reference, window)
-    _, peak, origin = _surface(reference, moved, window)
-    dv, du = (int(d) for d in np.subtract(peak, origin))
-    other = moved[top + dv : top + dv + window, left + du : left + du + window]
+    piece, other, _, (dv, du) = _followed(reference, moved, window)
     u, v, _ = extended_search_area_piv(
         piece, other, window, overlap=0, search_area_size=window, sig2noise_method="peak2peak",
         normalized_correlation=True,
@@ -123,9 +128,7 @@ def mudic(reference: np.ndarray, moved: np.ndarray, window: int) -> tuple[float,
         import muDIC
         from muDIC.IO.image_stack import image_stack_from_list
 
-        _, (top, left) = _middle(reference, window)
-        _, peak, origin = _surface(reference, moved, window)
-        dv, du = (int(d) for d in np.subtract(peak, origin))
+        _, _, (top, left), (dv, du) = _followed(reference, moved, window)
         side = window + 2 * _MUDIC_FRAME
         frames = [
             image[v - _MUDIC_FRAME :, u - _MUDIC_FRAME :][:side, :side]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from rich.text import Text
 
-from ...machine.files import replacing, write_json
+from ...machine.files import write_csv, write_json
 from ...machine.progress import progress_bars
 from ...report.terminal import print_table, terminal
 from .case import BROKEN, LIMIT, OK, Check, checks_of
@@ -40,12 +39,9 @@ def catalogue(quick: bool = False, progress: bool = False) -> Iterator[Check]:
 
 def write_table(folder: Path, checks: Sequence[Check], identity: dict) -> None:
     """Writes stability.csv and stability.json, each whole or not at all."""
-    names = [column.name for column in fields(Check)]
-    with replacing(folder / "stability.csv") as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, names)
-        writer.writeheader()
-        writer.writerows(asdict(check) for check in checks)
-    write_json(folder / "stability.json", {"identity": identity, "checks": [asdict(check) for check in checks]})
+    rows = [asdict(check) for check in checks]
+    write_csv(folder / "stability.csv", [column.name for column in fields(Check)], rows)
+    write_json(folder / "stability.json", {"identity": identity, "checks": rows})
 
 
 def print_checks(checks: Sequence[Check]) -> None:

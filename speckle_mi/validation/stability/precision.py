@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from ...geometry.plane import PlanePoints
-from .case import BROKEN, OK, Case, Check, compared, same_field, within
-from .scenes import WAVELENGTH, Bench, exact_sum, pixel_centres, sampled_pixels
+from .case import BROKEN, LIMIT, OK, Case, Check, compared, same_field, within
+from .scenes import WAVELENGTH, Bench, against_exact_sum, exact_sum, pixel_centres, sampled_pixels
 
 SINGLE_PRECISION = 1e-6
 """Of the method ``direct``."""
@@ -82,8 +82,6 @@ def rays_as_their_number_grows(quick: bool):
 
 def tolerances(quick: bool):
     """Every tolerance that may be asked for is kept, against the sum in extended precision."""
-    from .scenes import against_exact_sum
-
     for tolerance in (1e-8, 1e-1) if quick else (1e-8, 1e-6, 1e-4, 1e-2, 1e-1):
         bench = Bench(integrator={"tolerance": tolerance}, detector={"width": 128, "height": 128})
         yield same_field("tolerance", f"field at {tolerance:g}", *against_exact_sum(bench), tolerance)
@@ -122,8 +120,6 @@ def fits_with_hardly_any_data(quick: bool):
 
 def _undefined(quantity: str, value: float, note: str) -> Check:
     """Where nothing can be said: NaN, with a reason."""
-    from .case import LIMIT
-
     clear = math.isnan(value) and bool(note)
     return Check("fit", quantity, value, "NaN, with a reason", 0.0, 0.0, LIMIT if clear else BROKEN, note)
 
