@@ -64,7 +64,7 @@ from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from speckle_mi.scene.parameters import describe, value_of
 from ._mesh import (
     ENCLOSING,
     SECTORS,
@@ -76,6 +76,7 @@ from ._mesh import (
     rounding_room,
     sector_angles,
 )
+from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
 _LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
@@ -108,11 +109,9 @@ class Lens(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        for name, limits in _LIMITS.items():
-            default = (_DEFAULTS[name],) if name in _DEFAULTS else ()
-            setattr(self, name, stored(read_number(props, name, *default, **limits)))
+        read_numbers(self, props, _LIMITS, _DEFAULTS)
         self._check()
-        self.owns_bsdf = not any(isinstance(child, mi.BSDF) for _, child in props.objects())
+        self.owns_bsdf = not has_bsdf(props)
         if self.owns_bsdf:
             props["bsdf"] = mi.load_dict({"type": "dielectric", "int_ior": self.index, "ext_ior": 1.0})
         super().__init__(props)
@@ -143,8 +142,7 @@ class Lens(mi.Mesh):
         return (1.0 / radius if radius else 0.0), conic
 
     def _check(self) -> None:
-        for name, limits in _LIMITS.items():
-            check_number(self.where, name, value_of(getattr(self, name)), **limits)
+        check_numbers(self, _LIMITS)
         diameter, thickness = value_of(self.diameter), value_of(self.thickness)
         for side in (1, 2):
             curvature, conic = self._form(side)
@@ -191,9 +189,7 @@ class Lens(mi.Mesh):
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
-        for name in _LIMITS:
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-        self.placement.traverse(callback)
+        expose(self, _LIMITS, callback)
 
     def parameters_changed(self, keys) -> None:
         keys = list(keys)
@@ -208,7 +204,7 @@ class Lens(mi.Mesh):
         super().parameters_changed(keys)
 
     def to_string(self) -> str:
-        return f"Lens[{', '.join(f'{name} = {value_of(getattr(self, name))}' for name in _LIMITS)}]"
+        return f"Lens[{in_words(self, _LIMITS)}]"
 
 
 def _sag(r: np.ndarray, curvature: float, conic: float) -> tuple[np.ndarray, np.ndarray]:

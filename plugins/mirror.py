@@ -82,8 +82,9 @@ from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from speckle_mi.scene.parameters import describe, value_of
 from ._mesh import ENCLOSING, SECTORS, cap_faces, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
+from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
 _LIMITS = {
@@ -106,11 +107,9 @@ class Mirror(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        for name, limits in _LIMITS.items():
-            default = (_DEFAULTS[name],) if name in _DEFAULTS else ()
-            setattr(self, name, stored(read_number(props, name, *default, **limits)))
+        read_numbers(self, props, _LIMITS, _DEFAULTS)
         self._check()
-        self.owns_bsdf = not any(isinstance(child, mi.BSDF) for _, child in props.objects())
+        self.owns_bsdf = not has_bsdf(props)
         if self.owns_bsdf:
             reflectance = {"type": "uniform", "value": value_of(self.reflectance)}
             metal = {"type": "conductor", "specular_reflectance": reflectance}
@@ -133,8 +132,7 @@ class Mirror(mi.Mesh):
         return Surface(frame, 1.0 / radius if radius else 0.0, value_of(self.conic), outline)
 
     def _check(self) -> None:
-        for name, limits in _LIMITS.items():
-            check_number(self.where, name, value_of(getattr(self, name)), **limits)
+        check_numbers(self, _LIMITS)
         surface = self._surface(Frame(np.zeros(3), np.eye(3)))
         bend = (1 + surface.conic) * surface.curvature**2
         if bend * surface.outline.reach**2 <= 1 + _ROUNDING:
@@ -172,9 +170,7 @@ class Mirror(mi.Mesh):
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
-        for name in _LIMITS:
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-        self.placement.traverse(callback)
+        expose(self, _LIMITS, callback)
 
     def parameters_changed(self, keys) -> None:
         keys = list(keys)
@@ -191,7 +187,7 @@ class Mirror(mi.Mesh):
         super().parameters_changed(keys)
 
     def to_string(self) -> str:
-        return f"Mirror[{', '.join(f'{name} = {value_of(getattr(self, name))}' for name in _LIMITS)}]"
+        return f"Mirror[{in_words(self, _LIMITS)}]"
 
 
 def _around(centre: tuple[float, float], r: np.ndarray, angles: np.ndarray) -> np.ndarray:
