@@ -68,13 +68,14 @@ from speckle_mi.scene.parameters import describe, value_of
 from ._mesh import (
     ENCLOSING,
     SECTORS,
-    cap_faces,
+    evenly_in_slope,
     fill_mesh,
     move_mesh,
     ring_faces,
     rings,
     rounding_room,
     sector_angles,
+    sheet_faces,
 )
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
@@ -171,11 +172,7 @@ class Lens(mi.Mesh):
         points, normals, ends = [], [], []
         for side, vertex, outward in ((1, 0.0, -1.0), (2, thickness, 1.0)):
             curvature, conic = self._form(side)
-            # Evenly spaced in the sine of the slope, so that a hemisphere is as fine at its rim as at its vertex.
-            sine = abs(curvature) * radius * np.sqrt(max(1 + conic, 0.0))
-            widest = np.arcsin(min(sine, 1.0))
-            steps = np.arange(1, _RINGS + 1) / _RINGS
-            r = radius * (np.sin(steps * widest) / np.sin(widest) if widest > 0 else steps)
+            r = radius * evenly_in_slope(np.arange(1, _RINGS + 1) / _RINGS, radius, curvature, conic)
             z, slope = _sag(r, curvature, conic)
             # The rim of the mesh lies a trace outside the diameter, at the height of the surface's own rim.
             profile = np.stack([np.append(r[:-1], edge), vertex + z], axis=-1)
@@ -217,10 +214,10 @@ def _sag(r: np.ndarray, curvature: float, conic: float) -> tuple[np.ndarray, np.
 def _faces() -> np.ndarray:
     """Faces of front, back and rim, normals out of the glass."""
     vertices = 1 + _RINGS * SECTORS
-    cap = np.concatenate([cap_faces(0, SECTORS), 1 + ring_faces(_RINGS, SECTORS)])
+    sheet = sheet_faces(_RINGS, SECTORS)
     # Front to back is what outwards is on the other two, with the rim turned inside out.
     rim = ring_faces(2, SECTORS)[:, ::-1]
-    return np.concatenate([cap[:, ::-1], vertices + cap, 2 * vertices + rim])
+    return np.concatenate([sheet[:, ::-1], vertices + sheet, 2 * vertices + rim])
 
 
 mi.register_shape("lens", Lens)

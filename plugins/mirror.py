@@ -83,7 +83,7 @@ from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
 from speckle_mi.scene.parameters import describe, value_of
-from ._mesh import ENCLOSING, SECTORS, cap_faces, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
+from ._mesh import ENCLOSING, SECTORS, evenly_in_slope, fill_mesh, move_mesh, rounding_room, sector_angles, sheet_faces
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
@@ -116,12 +116,12 @@ class Mirror(mi.Mesh):
             props["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": metal})
         super().__init__(props)
         vertices, normals = self._vertices()
-        fill_mesh(self, self.placement.frame, vertices, _faces(), normals)
+        fill_mesh(self, self.placement.frame, vertices, sheet_faces(_RINGS, SECTORS), normals)
 
     def element(self) -> Element:
         """The mirror's surface inside its rim."""
         vertices, _ = self._vertices()
-        body = Body.mesh(self.placement.frame.to_world(vertices), _faces())
+        body = Body.mesh(self.placement.frame.to_world(vertices), sheet_faces(_RINGS, SECTORS))
         amplitude = float(np.sqrt(value_of(self.reflectance)))
         return Element(self.id(), "mirror", (self._surface(self.placement.frame),), body, amplitude=amplitude)
 
@@ -154,11 +154,8 @@ class Mirror(mi.Mesh):
         """Vertices (n, 3) [mm] and normals (n, 3), towards +z, in the local frame: the middle, then ring after ring."""
         surface = self._surface(Frame(np.zeros(3), np.eye(3)))
         outline, angles = surface.outline, sector_angles()
-        # Evenly spaced in the sine of the slope, so that a hemisphere is as fine at its rim as at its vertex.
-        sine = abs(surface.curvature) * outline.reach * np.sqrt(max(1 + surface.conic, 0.0))
-        widest = np.arcsin(min(sine, 1.0))
-        steps = np.arange(_RINGS + 1) / _RINGS
-        r = outline.half_size[0] * (np.sin(steps * widest) / np.sin(widest) if widest > 0 else steps)
+        steps = evenly_in_slope(np.arange(_RINGS + 1) / _RINGS, outline.reach, surface.curvature, surface.conic)
+        r = outline.half_size[0] * steps
         point = _around(outline.centre, r, angles)
         point[2] = surface.sag(point[0] ** 2 + point[1] ** 2)
         normal = -surface.gradient(point)
@@ -195,11 +192,6 @@ def _around(centre: tuple[float, float], r: np.ndarray, angles: np.ndarray) -> n
     x = centre[0] + np.append(0.0, np.outer(r[1:], np.cos(angles)))
     y = centre[1] + np.append(0.0, np.outer(r[1:], np.sin(angles)))
     return np.stack([x, y, np.zeros_like(x)])
-
-
-def _faces() -> np.ndarray:
-    """Faces of the one sheet, normals +z."""
-    return np.concatenate([cap_faces(0, SECTORS), 1 + ring_faces(_RINGS, SECTORS)])
 
 
 mi.register_shape("mirror", Mirror)
