@@ -81,7 +81,18 @@ def ring_faces(count: int, sectors: int) -> np.ndarray:
     return np.concatenate([np.stack([a, b, c], axis=-1).reshape(-1, 3), np.stack([a, c, d], axis=-1).reshape(-1, 3)])
 
 
-def cap_faces(first: int, sectors: int) -> np.ndarray:
-    """Faces (sectors, 3) from a point ``first`` to the ring that follows it, normals +z."""
+def sheet_faces(count: int, sectors: int) -> np.ndarray:
+    """Faces (sectors + 2 (count - 1) sectors, 3) of a middle point and the ``count`` rings that follow, normals +z."""
     sector = np.arange(sectors)
-    return np.stack([np.full(sectors, first), first + 1 + sector, first + 1 + (sector + 1) % sectors], axis=-1)
+    cap = np.stack([np.zeros(sectors, dtype=int), 1 + sector, 1 + (sector + 1) % sectors], axis=-1)
+    return np.concatenate([cap, 1 + ring_faces(count, sectors)])
+
+
+def evenly_in_slope(steps: np.ndarray, reach: float, curvature: float, conic: float) -> np.ndarray:
+    """Steps (m,) from 0 to 1 of a radius, moved to be even in the sine of a surface's slope.
+
+    A hemisphere is then as fine at its rim, at ``reach`` [mm] from the axis, as at its vertex.
+    """
+    sine = abs(curvature) * reach * np.sqrt(max(1 + conic, 0.0))
+    widest = np.arcsin(min(sine, 1.0))
+    return np.sin(steps * widest) / np.sin(widest) if widest > 0 else steps

@@ -57,8 +57,9 @@ from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import check_number, describe, read_choice, read_number, stored, value_of
+from speckle_mi.scene.parameters import describe, read_choice, read_number, stored, value_of
 from ._mesh import ENCLOSING, SECTORS, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
+from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
 _SIZES = {"circle": ("radius",), "rectangle": ("width", "height")}
@@ -74,12 +75,11 @@ class Aperture(mi.Mesh):
             if name in props and name not in _SIZES[self.form]:
                 wanted = " and ".join(_SIZES[self.form])
                 raise SceneError(f"{self.where}: has {name!r}, but a {self.form} is given by {wanted}")
-        for name in _SIZES[self.form]:
-            setattr(self, name, stored(read_number(props, name, **_SIZE)))
-        self.exposed = (*_SIZES[self.form], "outer_radius")
+        read_numbers(self, props, dict.fromkeys(_SIZES[self.form], _SIZE))
+        self.limits = dict.fromkeys((*_SIZES[self.form], "outer_radius"), _SIZE)
         self.outer_radius = stored(read_number(props, "outer_radius", max(10.0, 10.0 * self._outline().reach), **_SIZE))
         self._check()
-        if not any(isinstance(child, mi.BSDF) for _, child in props.objects()):
+        if not has_bsdf(props):
             black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
             props["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": black})
         super().__init__(props)
@@ -101,8 +101,7 @@ class Aperture(mi.Mesh):
         return Circle(sizes[0]) if self.form == "circle" else Rectangle(sizes[0] / 2, sizes[1] / 2)
 
     def _check(self) -> None:
-        for name in self.exposed:
-            check_number(self.where, name, value_of(getattr(self, name)), **_SIZE)
+        check_numbers(self, self.limits)
         outer, inner = value_of(self.outer_radius), ENCLOSING * self._outline().reach + self._room()
         if not outer > inner:
             raise SceneError(
@@ -134,21 +133,18 @@ class Aperture(mi.Mesh):
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
-        for name in self.exposed:
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-        self.placement.traverse(callback)
+        expose(self, self.limits, callback)
 
     def parameters_changed(self, keys) -> None:
         keys = list(keys)
         self.placement.parameters_changed(keys, self.where)
-        if {"to_world", *self.exposed}.intersection(keys):
+        if {"to_world", *self.limits}.intersection(keys):
             self._check()
             keys += move_mesh(self, self.placement.frame, self._vertices())
         super().parameters_changed(keys)
 
     def to_string(self) -> str:
-        sizes = ", ".join(f"{name} = {value_of(getattr(self, name))} mm" for name in self.exposed)
-        return f"Aperture[{self.form}, {sizes}]"
+        return f"Aperture[{self.form}, {in_words(self, self.limits, ' mm')}]"
 
 
 mi.register_shape("aperture", Aperture)

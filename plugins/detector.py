@@ -49,10 +49,11 @@ import mitsuba as mi
 
 from speckle_mi.geometry.plane import PlaneGrid
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from speckle_mi.scene.parameters import describe, value_of
+from ._numbers import check_numbers, expose, read_numbers
 from ._placement import Placement
 
-_PITCH = {"at_least": 1e-6, "at_most": 1e3, "unit": "mm"}
+_LIMITS = {"pixel_pitch": {"at_least": 1e-6, "at_most": 1e3, "unit": "mm"}}
 
 
 class Detector(mi.Sensor):
@@ -61,7 +62,7 @@ class Detector(mi.Sensor):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        self.pixel_pitch = stored(read_number(props, "pixel_pitch", **_PITCH))
+        read_numbers(self, props, _LIMITS)
         children = {name: child for name, child in props.objects()}
         for name, child in children.items():
             if isinstance(child, mi.Film):
@@ -110,13 +111,12 @@ class Detector(mi.Sensor):
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
-        callback.put("pixel_pitch", self.pixel_pitch, mi.ParamFlags.NonDifferentiable)
-        self.placement.traverse(callback)
+        expose(self, _LIMITS, callback)
 
     def parameters_changed(self, keys) -> None:
         super().parameters_changed(keys)
         self.placement.parameters_changed(keys, self.where)
-        check_number(self.where, "pixel_pitch", value_of(self.pixel_pitch), **_PITCH)
+        check_numbers(self, _LIMITS)
 
     def to_string(self) -> str:
         columns, rows = self.film().size()

@@ -63,7 +63,8 @@ import numpy as np
 
 from speckle_mi.scattering.beam import Beam
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from speckle_mi.scene.parameters import describe, value_of
+from ._numbers import check_numbers, expose, read_numbers
 from ._placement import Placement
 
 _LIMITS = {
@@ -71,6 +72,7 @@ _LIMITS = {
     "beam_radius": {"at_least": 1e-6, "at_most": 1e5, "infinite": True, "unit": "mm"},
     "wavefront_radius": {"infinite": True, "unit": "mm"},
 }
+_DEFAULTS = {"beam_radius": np.inf, "wavefront_radius": np.inf}
 
 _STEEPEST = 0.35
 """Largest divergence [rad] of a beam: its field is then off by a tenth, see :class:`Beam`."""
@@ -85,9 +87,7 @@ class Laser(mi.Emitter):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        self.wavelength = stored(read_number(props, "wavelength", **_LIMITS["wavelength"]))
-        self.beam_radius = stored(read_number(props, "beam_radius", np.inf, **_LIMITS["beam_radius"]))
-        self.wavefront_radius = stored(read_number(props, "wavefront_radius", np.inf, **_LIMITS["wavefront_radius"]))
+        read_numbers(self, props, _LIMITS, _DEFAULTS)
         self._check()
         super().__init__(props)
         self.m_flags = mi.EmitterFlags.DeltaDirection
@@ -105,8 +105,7 @@ class Laser(mi.Emitter):
         )
 
     def _check(self) -> None:
-        for name, limits in _LIMITS.items():
-            check_number(self.where, name, value_of(getattr(self, name)), **limits)
+        check_numbers(self, _LIMITS)
         radius = abs(value_of(self.wavefront_radius))
         if not (_SHORTEST <= radius <= _LONGEST or np.isinf(radius)):
             raise SceneError(
@@ -161,9 +160,7 @@ class Laser(mi.Emitter):
         return self.placement.to_world
 
     def traverse(self, callback) -> None:
-        for name in _LIMITS:
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-        self.placement.traverse(callback)
+        expose(self, _LIMITS, callback)
 
     def parameters_changed(self, keys) -> None:
         self.placement.parameters_changed(keys, self.where)

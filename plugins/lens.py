@@ -64,18 +64,20 @@ from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
+from speckle_mi.scene.parameters import describe, value_of
 from ._mesh import (
     ENCLOSING,
     SECTORS,
-    cap_faces,
+    evenly_in_slope,
     fill_mesh,
     move_mesh,
     ring_faces,
     rings,
     rounding_room,
     sector_angles,
+    sheet_faces,
 )
+from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
 _LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
@@ -108,11 +110,9 @@ class Lens(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        for name, limits in _LIMITS.items():
-            default = (_DEFAULTS[name],) if name in _DEFAULTS else ()
-            setattr(self, name, stored(read_number(props, name, *default, **limits)))
+        read_numbers(self, props, _LIMITS, _DEFAULTS)
         self._check()
-        self.owns_bsdf = not any(isinstance(child, mi.BSDF) for _, child in props.objects())
+        self.owns_bsdf = not has_bsdf(props)
         if self.owns_bsdf:
             props["bsdf"] = mi.load_dict({"type": "dielectric", "int_ior": self.index, "ext_ior": 1.0})
         super().__init__(props)
@@ -143,8 +143,7 @@ class Lens(mi.Mesh):
         return (1.0 / radius if radius else 0.0), conic
 
     def _check(self) -> None:
-        for name, limits in _LIMITS.items():
-            check_number(self.where, name, value_of(getattr(self, name)), **limits)
+        check_numbers(self, _LIMITS)
         diameter, thickness = value_of(self.diameter), value_of(self.thickness)
         for side in (1, 2):
             curvature, conic = self._form(side)
@@ -173,11 +172,7 @@ class Lens(mi.Mesh):
         points, normals, ends = [], [], []
         for side, vertex, outward in ((1, 0.0, -1.0), (2, thickness, 1.0)):
             curvature, conic = self._form(side)
-            # Evenly spaced in the sine of the slope, so that a hemisphere is as fine at its rim as at its vertex.
-            sine = abs(curvature) * radius * np.sqrt(max(1 + conic, 0.0))
-            widest = np.arcsin(min(sine, 1.0))
-            steps = np.arange(1, _RINGS + 1) / _RINGS
-            r = radius * (np.sin(steps * widest) / np.sin(widest) if widest > 0 else steps)
+            r = radius * evenly_in_slope(np.arange(1, _RINGS + 1) / _RINGS, radius, curvature, conic)
             z, slope = _sag(r, curvature, conic)
             # The rim of the mesh lies a trace outside the diameter, at the height of the surface's own rim.
             profile = np.stack([np.append(r[:-1], edge), vertex + z], axis=-1)
@@ -191,9 +186,7 @@ class Lens(mi.Mesh):
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
-        for name in _LIMITS:
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-        self.placement.traverse(callback)
+        expose(self, _LIMITS, callback)
 
     def parameters_changed(self, keys) -> None:
         keys = list(keys)
@@ -208,7 +201,7 @@ class Lens(mi.Mesh):
         super().parameters_changed(keys)
 
     def to_string(self) -> str:
-        return f"Lens[{', '.join(f'{name} = {value_of(getattr(self, name))}' for name in _LIMITS)}]"
+        return f"Lens[{in_words(self, _LIMITS)}]"
 
 
 def _sag(r: np.ndarray, curvature: float, conic: float) -> tuple[np.ndarray, np.ndarray]:
@@ -221,10 +214,10 @@ def _sag(r: np.ndarray, curvature: float, conic: float) -> tuple[np.ndarray, np.
 def _faces() -> np.ndarray:
     """Faces of front, back and rim, normals out of the glass."""
     vertices = 1 + _RINGS * SECTORS
-    cap = np.concatenate([cap_faces(0, SECTORS), 1 + ring_faces(_RINGS, SECTORS)])
+    sheet = sheet_faces(_RINGS, SECTORS)
     # Front to back is what outwards is on the other two, with the rim turned inside out.
     rim = ring_faces(2, SECTORS)[:, ::-1]
-    return np.concatenate([cap[:, ::-1], vertices + cap, 2 * vertices + rim])
+    return np.concatenate([sheet[:, ::-1], vertices + sheet, 2 * vertices + rim])
 
 
 mi.register_shape("lens", Lens)

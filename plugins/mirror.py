@@ -82,8 +82,9 @@ from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import check_number, describe, read_number, stored, value_of
-from ._mesh import ENCLOSING, SECTORS, cap_faces, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
+from speckle_mi.scene.parameters import describe, value_of
+from ._mesh import ENCLOSING, SECTORS, evenly_in_slope, fill_mesh, move_mesh, rounding_room, sector_angles, sheet_faces
+from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
 _LIMITS = {
@@ -106,23 +107,21 @@ class Mirror(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        for name, limits in _LIMITS.items():
-            default = (_DEFAULTS[name],) if name in _DEFAULTS else ()
-            setattr(self, name, stored(read_number(props, name, *default, **limits)))
+        read_numbers(self, props, _LIMITS, _DEFAULTS)
         self._check()
-        self.owns_bsdf = not any(isinstance(child, mi.BSDF) for _, child in props.objects())
+        self.owns_bsdf = not has_bsdf(props)
         if self.owns_bsdf:
             reflectance = {"type": "uniform", "value": value_of(self.reflectance)}
             metal = {"type": "conductor", "specular_reflectance": reflectance}
             props["bsdf"] = mi.load_dict({"type": "twosided", "bsdf": metal})
         super().__init__(props)
         vertices, normals = self._vertices()
-        fill_mesh(self, self.placement.frame, vertices, _faces(), normals)
+        fill_mesh(self, self.placement.frame, vertices, sheet_faces(_RINGS, SECTORS), normals)
 
     def element(self) -> Element:
         """The mirror's surface inside its rim."""
         vertices, _ = self._vertices()
-        body = Body.mesh(self.placement.frame.to_world(vertices), _faces())
+        body = Body.mesh(self.placement.frame.to_world(vertices), sheet_faces(_RINGS, SECTORS))
         amplitude = float(np.sqrt(value_of(self.reflectance)))
         return Element(self.id(), "mirror", (self._surface(self.placement.frame),), body, amplitude=amplitude)
 
@@ -133,8 +132,7 @@ class Mirror(mi.Mesh):
         return Surface(frame, 1.0 / radius if radius else 0.0, value_of(self.conic), outline)
 
     def _check(self) -> None:
-        for name, limits in _LIMITS.items():
-            check_number(self.where, name, value_of(getattr(self, name)), **limits)
+        check_numbers(self, _LIMITS)
         surface = self._surface(Frame(np.zeros(3), np.eye(3)))
         bend = (1 + surface.conic) * surface.curvature**2
         if bend * surface.outline.reach**2 <= 1 + _ROUNDING:
@@ -156,11 +154,8 @@ class Mirror(mi.Mesh):
         """Vertices (n, 3) [mm] and normals (n, 3), towards +z, in the local frame: the middle, then ring after ring."""
         surface = self._surface(Frame(np.zeros(3), np.eye(3)))
         outline, angles = surface.outline, sector_angles()
-        # Evenly spaced in the sine of the slope, so that a hemisphere is as fine at its rim as at its vertex.
-        sine = abs(surface.curvature) * outline.reach * np.sqrt(max(1 + surface.conic, 0.0))
-        widest = np.arcsin(min(sine, 1.0))
-        steps = np.arange(_RINGS + 1) / _RINGS
-        r = outline.half_size[0] * (np.sin(steps * widest) / np.sin(widest) if widest > 0 else steps)
+        steps = evenly_in_slope(np.arange(_RINGS + 1) / _RINGS, outline.reach, surface.curvature, surface.conic)
+        r = outline.half_size[0] * steps
         point = _around(outline.centre, r, angles)
         point[2] = surface.sag(point[0] ** 2 + point[1] ** 2)
         normal = -surface.gradient(point)
@@ -172,9 +167,7 @@ class Mirror(mi.Mesh):
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
-        for name in _LIMITS:
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-        self.placement.traverse(callback)
+        expose(self, _LIMITS, callback)
 
     def parameters_changed(self, keys) -> None:
         keys = list(keys)
@@ -191,7 +184,7 @@ class Mirror(mi.Mesh):
         super().parameters_changed(keys)
 
     def to_string(self) -> str:
-        return f"Mirror[{', '.join(f'{name} = {value_of(getattr(self, name))}' for name in _LIMITS)}]"
+        return f"Mirror[{in_words(self, _LIMITS)}]"
 
 
 def _around(centre: tuple[float, float], r: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -199,11 +192,6 @@ def _around(centre: tuple[float, float], r: np.ndarray, angles: np.ndarray) -> n
     x = centre[0] + np.append(0.0, np.outer(r[1:], np.cos(angles)))
     y = centre[1] + np.append(0.0, np.outer(r[1:], np.sin(angles)))
     return np.stack([x, y, np.zeros_like(x)])
-
-
-def _faces() -> np.ndarray:
-    """Faces of the one sheet, normals +z."""
-    return np.concatenate([cap_faces(0, SECTORS), 1 + ring_faces(_RINGS, SECTORS)])
 
 
 mi.register_shape("mirror", Mirror)

@@ -80,17 +80,10 @@ from speckle_mi.geometry.pose import DEGREES_OF_FREEDOM, Pose
 from speckle_mi.scattering.facets import Facets
 from speckle_mi.scattering.rough_surface import PointScatterers
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import (
-    check_number,
-    describe,
-    read_boolean,
-    read_integer,
-    read_number,
-    stored,
-    value_of,
-)
+from speckle_mi.scene.parameters import describe, read_boolean, read_integer, read_number, stored, value_of
 from speckle_mi.scene.target_files import mesh_from_file, points_from_csv, resolve
 from ._mesh import fill_mesh, move_mesh
+from ._numbers import check_numbers, expose, read_numbers
 from ._placement import Placement
 
 _LIMITS = {
@@ -111,9 +104,8 @@ class RoughTarget(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        self.roughness = stored(read_number(props, "roughness", 0.0, **_LIMITS["roughness"]))
-        self.correlation_length = stored(read_number(props, "correlation_length", 0.0, **_LIMITS["correlation_length"]))
-        self._check_correlation()
+        read_numbers(self, props, _LIMITS, dict.fromkeys(_LIMITS, 0.0))
+        self._check()
         self.point_sources = read_integer(props, "point_sources", 100, at_least=1, at_most=10**15)
         seed = read_integer(props, "seed", 0, at_least=0, at_most=_LARGEST_SEED)
         self.seed = mi.UInt64(seed)
@@ -154,7 +146,8 @@ class RoughTarget(mi.Mesh):
             return None
         return PointScatterers(*points_from_csv(resolve(props, "points"), self.where))
 
-    def _check_correlation(self) -> None:
+    def _check(self) -> None:
+        check_numbers(self, _LIMITS)
         if 0 < value_of(self.correlation_length) < _SHORTEST:
             raise SceneError(
                 f"{self.where}: parameter 'correlation_length' is {value_of(self.correlation_length):g} um, "
@@ -166,14 +159,10 @@ class RoughTarget(mi.Mesh):
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
-        for name in (*_LIMITS, "seed", *DEGREES_OF_FREEDOM):
-            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
-        self.placement.traverse(callback)
+        expose(self, (*_LIMITS, "seed", *DEGREES_OF_FREEDOM), callback)
 
     def parameters_changed(self, keys) -> None:
-        for name, limits in _LIMITS.items():
-            check_number(self.where, name, value_of(getattr(self, name)), **limits)
-        self._check_correlation()
+        self._check()
         self.placement.parameters_changed(keys, self.where)
         keys = list(keys)
         if {"to_world", *DEGREES_OF_FREEDOM}.intersection(keys):

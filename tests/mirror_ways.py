@@ -21,17 +21,22 @@ def _fold(b, count):
     return mirrors
 
 
+def _shield_detector(b, distance, half, room, *others):
+    """Shields a detector (of a half-width) from the direct light, other places before it; returns its places (5, 3)."""
+    axes = frame_along(b.d)
+    end = b.at + distance * b.d
+    detector = end + np.array([[0, 0], [1, 1], [-1, 1], [1, -1], [-1, -1]]) @ (half * axes[:, :2].T)
+    b.path.append((b.at, end))
+    for places in (*others, detector):
+        shade(b, places, room)
+    b.path.pop()
+    return detector
+
+
 def _shield_all(b, mirrors, distance, half):
     """The source's direct light and that of other mirror sequences reach neither opening nor detector."""
     hole = b.openings[0].face.points(b.openings[0].samples())
-    axes = frame_along(b.d)
-    end = b.at + distance * b.d
-    detector = end + np.array([[0, 0], [1, 1], [-1, 1], [1, -1], [-1, -1]]) @ (2.5 * half * axes[:, :2].T)
-    b.path.append((b.at, end))
-    room = max(1.0, 2 * b.openings[0].half[0])
-    shade(b, hole, room)
-    shade(b, detector, room)
-    b.path.pop()
+    detector = _shield_detector(b, distance, 2.5 * half, max(1.0, 2 * b.openings[0].half[0]), hole)
     refuse_other_ways(b, mirrors, mirrors, [*hole, *detector])
 
 
@@ -110,13 +115,7 @@ def _stop_then_curved(b, sphere, concave):
 def curved_behind_stop(b):
     """A stop, then a convex sphere or `mirror` that folds the light back."""
     distance = _stop_then_curved(b, b.rng.random() < 0.6, b.rng.random() < 0.3)
-    end = b.at + distance * b.d
-    axes = frame_along(b.d)
-    half = _detector_half(b, distance) * 3
-    targets = end + np.array([[0, 0], [1, 1], [-1, 1], [1, -1], [-1, -1]]) @ (half * axes[:, :2].T)
-    b.path.append((b.at, end))
-    shade(b, targets, 1.0)
-    b.path.pop()
+    _shield_detector(b, distance, _detector_half(b, distance) * 3, 1.0)
     return distance
 
 

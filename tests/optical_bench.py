@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from reference_optics import Opening, Places, Way, edge_field_of, field_of
+from reference_optics import Opening, Places, Way, edge_field_of, field_of, refracts
 from reference_rays import Face, NoReference, ball_faces, chief, frame_along, lens_faces, rays, trace
 from stray_light import CLEAR, require_free
 
@@ -116,7 +116,6 @@ class Bench:
     path: list = field(default_factory=list)
     rims: list = field(default_factory=list)
     notes: list = field(default_factory=list)
-    distance: float = 0.0
     extra_error: float = 0.0
     beside: float = 0.0
     other_ways: list = field(default_factory=list)
@@ -139,7 +138,6 @@ class Bench:
     def go(self, distance):
         self.path.append((self.at, self.at + distance * self.d))
         self.at = self.at + distance * self.d
-        self.distance += distance
 
     def axes(self, tilt=0.0, turn=True):
         """Axes whose z is the chief ray's direction, tilted by up to ``tilt`` [deg] and turned about it."""
@@ -294,10 +292,9 @@ def _light_at(bench, plane):
         before = [f for leg in bench.legs[: j + 1] for f in leg]
         behind = [f for leg in bench.legs[j + 1 :] for f in leg]
         rim = opening.samples()
-        refracting = opening.face.after is not None and opening.face.after != opening.face.before
         first = chief(bench.source, before, opening.face)
         found = rays(np.tile(bench.source, (len(rim), 1)), before, opening.face, rim, np.tile(first, (len(rim), 1)))
-        middle = [opening.face] if refracting else []
+        middle = [opening.face] if refracts(opening.face) else []
         p, _, length, history = trace(np.tile(bench.source, (len(rim), 1)), found.direction,
                                       [*before, *middle, *behind, plane])
         if not np.isfinite(p).all():

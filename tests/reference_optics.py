@@ -129,7 +129,7 @@ class Leg:
         if isinstance(start, Opening) and isinstance(end, Opening):
             degree = degree // 2 + 1  # four coordinates: a smaller degree is both enough and all that can be paid
         self.degree, self.focal_lines, self.mean = degree, 0, 0.0
-        if faces or _refracts(end.face):
+        if faces or refracts(end.face):
             self._aim()
 
     def _aim(self):
@@ -159,7 +159,7 @@ class Leg:
 
         a, b: places (na, 2), (nb, 2) of the two ends; grids: the counts of the nodes that they are, or None.
         """
-        if not (self.faces or _refracts(self.end.face)):
+        if not (self.faces or refracts(self.end.face)):
             p, q = self.start.face.points(a), self.end.face.points(b)
             normal = self.start.face.normals(p) if isinstance(self.start, Opening) else None
             return lambda part: self._free(p[part], q, None if normal is None else normal[part])
@@ -180,7 +180,8 @@ class Leg:
         return self.index * r, cosine / r, 1 / (self.index * r)
 
 
-def _refracts(face):
+def refracts(face):
+    """Whether light goes on behind a face in another medium."""
     return face.after is not None and face.after != face.before
 
 

@@ -145,9 +145,9 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
 
 
 class SurfaceScatterers:
-    """Scatterers as parts of the material, one cell of the lattice each: who they are, where on it, how high.
+    """Scatterers as parts of the material, one cell of the lattice each: where on it, how high.
 
-    Dr.Jit expressions in the target's own frame; nothing is computed before they are placed and lit, or looked at.
+    Dr.Jit expressions in the target's own frame; nothing is computed before they are placed and lit.
     """
 
     def __init__(self, surface: RoughSurface, cells: _Cells) -> None:
@@ -166,20 +166,20 @@ class SurfaceScatterers:
         # An integer division would trap in the padding lanes of the last packet, whose divisor is zero.
         down = lanes.UInt32(dr.floor((lanes.Float64(block) + 0.5) / width))
         first = [self.of_row(cells.first[:, k], lanes.Int64) for k in range(2)]
-        self.cell = [lanes.Int64(block - down * lanes.UInt32(width)) + first[0], lanes.Int64(down) + first[1]]
-        self.facet = self.of_row(cells.facet.astype(np.uint64), lanes.UInt64)
+        cell = [lanes.Int64(block - down * lanes.UInt32(width)) + first[0], lanes.Int64(down) + first[1]]
+        facet = self.of_row(cells.facet.astype(np.uint64), lanes.UInt64)
         seed = dr.opaque(lanes.UInt64, hashing.seed_word(surface.seed))
-        self.key = hashing.cell_key(seed, self.facet, *(lanes.UInt64(cell) for cell in self.cell), kind=lanes.UInt64)
+        key = hashing.cell_key(seed, facet, *(lanes.UInt64(number) for number in cell), kind=lanes.UInt64)
         pitch = opaque(surface.density**-0.5)
-        a, b = ((lanes.Float64(cell) + self._uniform(self.key, stream)) * pitch
-                for cell, stream in zip(self.cell, (_PLACE_U, _PLACE_V), strict=True))  # fmt: skip
+        a, b = ((lanes.Float64(number) + self._uniform(key, stream)) * pitch
+                for number, stream in zip(cell, (_PLACE_U, _PLACE_V), strict=True))  # fmt: skip
         self.inside = lanes.Bool(True)
         for e in range(4):
             p, q, r = (self.of_row(facets.edges[cells.facet, e, k]) for k in range(3))
             self.inside &= p * a + q * b <= r
         origin, e1, e2 = (self.vectors(getattr(facets, name)[cells.facet]) for name in ("origin", "e1", "e2"))
         self.place = origin + a * e1 + b * e2
-        self.height = self._height()
+        self.height = self._height(key)
 
     @property
     def total(self) -> int:
@@ -189,21 +189,6 @@ class SurfaceScatterers:
     def at(self, frame: Frame) -> PlacedScatterers:
         """The scatterers with the target at ``frame``."""
         return PlacedScatterers(self, frame)
-
-    def to_numpy(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Who they are (n, 3): facet and cell along its e1 and e2; place (n, 3) on the mean surface and height (n,)
-        [mm].
-
-        Those whose place lies on their facet.
-        """
-        if self.total == 0:
-            return np.zeros((0, 3), np.int64), np.zeros((0, 3)), np.zeros(0)
-        dr.eval(self.inside, self.facet, self.cell, self.place, self.height)
-        inside = np.broadcast_to(self.inside.numpy(), (self.total,))
-        who = [np.broadcast_to(part.numpy().astype(np.int64), (self.total,)) for part in (self.facet, *self.cell)]
-        place = np.broadcast_to(np.asarray(self.place).T, (self.total, 3))
-        height = np.broadcast_to(self.height.numpy(), (self.total,))
-        return np.stack(who, axis=1)[inside], place[inside], height[inside]
 
     def of_row(self, values: np.ndarray, kind: type | None = None):
         """What a facet's cells share, one a lane."""
@@ -216,11 +201,11 @@ class SurfaceScatterers:
         """Vectors (f, 3) that a facet's cells share, one a lane."""
         return self.lanes.Array3f64(*(self.of_row(values[:, k]) for k in range(3)))
 
-    def _height(self):
+    def _height(self, key):
         """Heights [mm]: Gaussian, independent or with a Gaussian autocorrelation."""
         rms = opaque(self.surface.roughness)
         if self.surface.correlation_length == 0:
-            return rms * self._gaussian(self.key)
+            return rms * self._gaussian(key)
         dimensions = 2 if self.surface.facets.count == 1 else 3
         return rms * self._correlated([self.place.x, self.place.y, self.place.z][:dimensions])
 

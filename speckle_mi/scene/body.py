@@ -45,7 +45,7 @@ class Body:
 def body_of(shape, to_world: np.ndarray | None) -> Body | None:
     """A copy of a Mitsuba shape's geometry, None where its form cannot be copied.
 
-    to_world: (4, 4) in double precision, where it is known better than by the shape itself.
+    to_world: (4, 4) of an analytic form, in double precision.
     """
     import mitsuba as mi
 
@@ -54,9 +54,7 @@ def body_of(shape, to_world: np.ndarray | None) -> Body | None:
         vertices = np.array(parameters["vertex_positions"], dtype=np.float64).reshape(-1, 3)
         return Body.mesh(vertices, np.array(parameters["faces"]).reshape(-1, 3))
     form = shape.class_name().lower()
-    if form not in ANALYTIC or "to_world" not in parameters:
+    if form not in ANALYTIC:
         return None
-    if to_world is None:
-        to_world = np.array(parameters["to_world"].matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
     box = shape.bbox()
     return Body(form, np.array([box.min, box.max], dtype=np.float64), to_world=to_world)

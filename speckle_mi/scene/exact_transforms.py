@@ -13,11 +13,9 @@ from types import ModuleType
 
 import numpy as np
 
-from .bsdf_recipe import bsdf_recipe
+from .bsdf_recipe import TARGET, bsdf_recipe
 from .source import NotReadable, source_of_file, source_of_string, types_in_dict
 from .stated_indices import stated_indices
-
-TARGET = "rough_target"
 
 _MARK = "remembers_transforms"
 _LOADERS = {"load_file": "parse_file", "load_string": "parse_string", "load_dict": "parse_dict"}

@@ -30,9 +30,11 @@ def load_scene(path: str | os.PathLike, variant: str | None = None, **defaults: 
     if variant is None:
         variant = mi.variant() if is_usable(mi.variant() or "") else DEFAULT_VARIANT
     set_variant(variant)
+    path = os.fspath(path)
+    _require_file(path)
     level = mi.log_level()
     try:
-        scene = _opened(os.fspath(path), {name: str(value) for name, value in defaults.items()}, "")
+        scene = _opened(path, {name: str(value) for name, value in defaults.items()}, "")
     finally:
         mi.set_log_level(level)
     return assembly_from_scene(scene)
@@ -68,10 +70,9 @@ def _require_file(path: str) -> None:
 
 
 def _opened(path: str, values: Mapping[str, str], flag: str):
-    """The scene in a file, ``values`` given to its defaults by ``flag``."""
+    """The scene in a file that is there, ``values`` given to its defaults by ``flag``."""
     import mitsuba as mi
 
-    _require_file(path)
     try:
         known = source_of_file(path, {}).defaults
     except NotReadable:

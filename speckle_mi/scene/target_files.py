@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import mitsuba as mi
 import numpy as np
 
 from ..geometry.pose import FARTHEST
+from .errors import SceneError
+from .parameters import describe
 
 MAX_POINTS = 20_000_000
 
@@ -16,11 +19,6 @@ LARGEST_WEIGHT = 1e12
 
 def resolve(props, name: str) -> Path:
     """Path that a scene gives, relative to the scene file; SceneError when there is no such file."""
-    import mitsuba as mi
-
-    from .errors import SceneError
-    from .parameters import describe
-
     value = props[name]
     if not isinstance(value, str):
         raise SceneError(f"{describe(props)}: parameter {name!r} is {value!r}, must be the name of a file")
@@ -34,10 +32,6 @@ def resolve(props, name: str) -> Path:
 
 def mesh_from_file(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (n, 3) float64 and faces (m, 3) of a PLY or OBJ file; SceneError when it cannot be read."""
-    import mitsuba as mi
-
-    from .errors import SceneError
-
     kind = path.suffix.lower().lstrip(".")
     if kind not in ("ply", "obj"):
         raise SceneError(f"{where}: {path.name!r} is not a mesh, must be a .ply or .obj file")
@@ -68,8 +62,6 @@ def points_from_csv(path: Path, where: str) -> tuple[np.ndarray, np.ndarray]:
 
     One heading line is allowed. Raises SceneError naming the line that cannot be used.
     """
-    from .errors import SceneError
-
     rows: list[list[float]] = []
     columns = None
     try:
