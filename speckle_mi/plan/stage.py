@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -57,7 +57,7 @@ class Stage:
 
     def to_json(self) -> dict:
         """What there is to say, as JSON can hold it."""
-        content = asdict(self) | {"how": asdict(self.how) if self.how else None}
+        content = vars(self) | {"how": vars(self.how) if self.how else None}
         said = {name: value for name, value in content.items() if value is not None and not _is_empty(value)}
         return {name: _plain(value) for name, value in said.items()}
 

@@ -48,8 +48,13 @@ PIXELS_AT_ONCE = 1 << 22
 
 def _regular_matrix(count: int, pixels: int, double: bool) -> np.ndarray:
     """Interpolation matrix (pixels, count) to pixels evenly spaced from end to end."""
-    matrix = interpolation_matrix(count, np.linspace(-1.0, 1.0, pixels) if pixels > 1 else np.zeros(1))
-    return matrix if double else matrix.astype(np.float32)
+    places = np.linspace(-1.0, 1.0, pixels) if pixels > 1 else np.zeros(1)
+    # Pixels and nodes lie the same from either end.
+    matrix = np.empty((pixels, count), dtype=np.float64 if double else np.float32)
+    half = -(-pixels // 2)
+    matrix[:half] = interpolation_matrix(count, places[:half])
+    matrix[half:] = matrix[pixels - half - 1 :: -1, ::-1][: pixels - half]
+    return matrix
 
 
 def _tails(half_turns: float) -> np.ndarray:

@@ -21,8 +21,9 @@ def interpolation_matrix(count: int, places: np.ndarray) -> np.ndarray:
         return np.ones((len(places), 1))
     nodes = chebyshev_nodes(count)
     signs = np.where(np.arange(count) % 2, -1.0, 1.0) * np.sin((np.arange(count) + 0.5) * np.pi / count)
+    matrix = np.subtract.outer(places, nodes)
     with np.errstate(divide="ignore", invalid="ignore"):  # a place on a node, mended below
-        matrix = signs / (places[:, None] - nodes)
+        np.divide(signs, matrix, out=matrix)
         total = matrix.sum(axis=1)
         matrix /= total[:, None]
     on_node = np.isinf(total)

@@ -73,7 +73,7 @@ CERTAINTY = 2.0
 SAMPLED_PAIRS, SAMPLED_POINTS = 10_000_000, (12, 96)
 """Pairs spent on measuring the error, as far as fewest and most sampled points allow."""
 
-KERNEL_PAIRS = 100_000
+KERNEL_PAIRS = 50_000
 """Pairs of that sample from which the kernel is worth its launch; fewer are summed in NumPy."""
 
 

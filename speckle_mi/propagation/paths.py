@@ -25,11 +25,14 @@ class Path(Protocol):
 
 def distances(sources: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """|D - P| (n, m) [mm] from sources (n, 3) to targets (m, 3)."""
-    # Coordinate by coordinate: an (n, m, 3) intermediate would triple the memory.
+    # Coordinate by coordinate and in place: new arrays of megabytes take longer than what is computed in them.
     squared = np.zeros((len(sources), len(targets)))
+    along = np.empty_like(squared)
     for axis in range(3):
-        squared += np.subtract.outer(sources[:, axis], targets[:, axis]) ** 2
-    return np.sqrt(squared)
+        np.subtract.outer(sources[:, axis], targets[:, axis], out=along)
+        along *= along
+        squared += along
+    return np.sqrt(squared, out=squared)
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ def reference_sum(
     sources: (n, 3) [mm]; weights c: (n,) complex; targets: (m, 3) [mm]; wavelength [mm].
     """
     field = np.zeros(len(targets), dtype=np.complex128)
+    parts = np.stack([weights.real, weights.imag])
     source_step = min(len(sources), 4096) or 1
     target_step = max(1, PAIRS_AT_ONCE // source_step)
     for first_target in range(0, len(targets), target_step):
@@ -33,9 +34,13 @@ def reference_sum(
         for first in range(0, len(sources), source_step):
             some = slice(first, first + source_step)
             length, amplitude = path(sources[some], targets[chunk])
-            turns = length / wavelength
-            turns -= np.round(turns)
-            field[chunk] += weights[some] @ (amplitude * np.exp(2j * np.pi * turns))
+            angle = length / wavelength
+            angle -= np.round(angle)
+            angle *= 2 * np.pi
+            # Twice as fast as the exponential of complex numbers.
+            in_phase = parts[:, some] @ (amplitude * np.cos(angle))
+            in_quadrature = parts[:, some] @ (amplitude * np.sin(angle, out=angle))
+            field[chunk] += in_phase[0] - in_quadrature[1] + 1j * (in_phase[1] + in_quadrature[0])
     return field
 
 
