@@ -67,6 +67,34 @@ def axis_tails(coefficients: np.ndarray, last: int = 2) -> np.ndarray:
     return np.array(tails)
 
 
+def tensor_polynomials(index: np.ndarray, places: np.ndarray, dtype: type = np.float64) -> np.ndarray:
+    """T_{index[q,0]}(x) T_{index[q,1]}(y) ...: (q, n) at places (n, d) in [-1, 1]^d, for index (q, d)."""
+    columns = np.ascontiguousarray(places.T, dtype=dtype)
+    powers = []
+    for axis, x in enumerate(columns):
+        order = int(index[:, axis].max(initial=0)) + 1
+        ladder = np.ones((order, len(x)), dtype=dtype)
+        if order > 1:
+            ladder[1] = x
+        for n in range(2, order):
+            np.multiply(x, ladder[n - 1], out=ladder[n])
+            ladder[n] *= 2
+            ladder[n] -= ladder[n - 2]
+        powers.append(ladder)
+    basis = np.empty((len(index), columns.shape[1]), dtype=dtype)
+    for row, term in zip(basis, index, strict=True):
+        factors = [powers[axis][n] for axis, n in enumerate(term) if n > 0]
+        if not factors:
+            row[:] = 1.0
+        elif len(factors) == 1:
+            row[:] = factors[0]
+        else:
+            np.multiply(factors[0], factors[1], out=row)
+            for factor in factors[2:]:
+                row *= factor
+    return basis
+
+
 @dataclass(frozen=True)
 class TensorSeries:
     """sum_q coefficients[q] T_{index[q,0]}(x) T_{index[q,1]}(y) ...: k functions with only the terms that matter.
@@ -90,27 +118,5 @@ class TensorSeries:
 
     def __call__(self, places: np.ndarray, dtype: type = np.float64) -> np.ndarray:
         """Values (n, k) at places (n, d) in [-1, 1]^d."""
-        columns = np.ascontiguousarray(places.T, dtype=dtype)
-        powers = []
-        for axis, x in enumerate(columns):
-            order = int(self.index[:, axis].max(initial=0)) + 1
-            ladder = np.ones((order, len(x)), dtype=dtype)
-            if order > 1:
-                ladder[1] = x
-            for n in range(2, order):
-                np.multiply(x, ladder[n - 1], out=ladder[n])
-                ladder[n] *= 2
-                ladder[n] -= ladder[n - 2]
-            powers.append(ladder)
-        basis = np.empty((len(self.index), columns.shape[1]), dtype=dtype)
-        for row, term in zip(basis, self.index, strict=True):
-            factors = [powers[axis][n] for axis, n in enumerate(term) if n > 0]
-            if not factors:
-                row[:] = 1.0
-            elif len(factors) == 1:
-                row[:] = factors[0]
-            else:
-                np.multiply(factors[0], factors[1], out=row)
-                for factor in factors[2:]:
-                    row *= factor
-        return (self.coefficients.T.astype(dtype) @ basis).T
+        basis = tensor_polynomials(self.index, places, dtype)
+        return (self.coefficients.T.astype(dtype, copy=False) @ basis).T

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..geometry.plane import PlaneGrid, PlanePoints
 from .area import Area
-from .chebyshev import TensorSeries, axis_tails, tensor_coefficients, tensor_nodes
+from .chebyshev import TensorSeries, axis_tails, tensor_coefficients, tensor_nodes, tensor_polynomials
 from .paths import Path
 from .source_box import SourceBox
 
@@ -47,8 +47,10 @@ class InterpolatedPath:
         offset = targets - self.target.origin
         at = self.rectangle.unit_places(offset @ self.target.u, offset @ self.target.v)
         x = self.box.to_local(sources)
-        length, re, im = (TensorSeries(self.source_index, part)(x) for part in np.split(self.target_series(at).T, 3))
-        return length, re if self.real else re + 1j * im
+        polynomials = tensor_polynomials(self.source_index, x).T
+        length, re, im = np.split(self.target_series(at).T, 3)
+        amplitude = polynomials @ re
+        return polynomials @ length, amplitude if self.real else amplitude + 1j * (polynomials @ im)
 
 
 def interpolated(
