@@ -21,6 +21,7 @@ from ..plan.stage import NOTHING_SUMMED, PIXELS, Stage
 from ..plan.tracer import Tracer
 from ..plan.visibility import pixels_in_view, visible_scatterers
 from ..plan.way import Channel
+from ..propagation.costs import costs_of
 from ..scattering.rough_surface import Scatterers
 from ..scene.assembly import Assembly, Options
 from .frame import FrameResult, header_of
@@ -63,8 +64,8 @@ class Simulation:
     """
 
     def __init__(self, assembly: Assembly) -> None:
-        ensure_variant()
         self.assembly = assembly
+        self._costs = costs_of(ensure_variant())
         self._tracer = Tracer(assembly)
         self._plans: dict[tuple[Pose, Options], Plan] = {}
         self._lobe: Lobe | None = None
@@ -113,7 +114,7 @@ class Simulation:
 
     def _setup(self, assembly: Assembly, pose: Pose | None, options: Options | None) -> Setup:
         assembly = assembly if options is None else replace(assembly, options=options)
-        return Setup(assembly, assembly.pose if pose is None else pose, self._tracer)
+        return Setup(assembly, assembly.pose if pose is None else pose, self._tracer, self._costs)
 
     def _plan(self, setup: Setup) -> Plan:
         key = setup.pose, setup.assembly.options

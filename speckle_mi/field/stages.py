@@ -74,7 +74,7 @@ def channel_field(
         return _without_openings(setup, scatterers, channel, grid, lobe)
     options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
     sources, weights, opening = scatterers.position, scatterers.amplitude, None
-    tolerance = max(options.tolerance / (len(channel.openings) + 1), 1e-8)
+    how, tolerance = (wavelength, options.method), max(options.tolerance / (len(channel.openings) + 1), 1e-8)
     quadrature = max(_QUADRATURE_SHARE * tolerance, TIGHTEST)
     stages: list[Stage] = []
     for number, rim in enumerate(channel.openings):
@@ -91,14 +91,14 @@ def channel_field(
         if number == 0:
             values, results = _on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe)
         else:
-            result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
+            result = _summed(channel, path, sources, weights, nodes, *how, tolerance, setup.costs)
             values, results = result.field, [(result.how, result.numerical_error)]
         stages += _sums((rim.name,), results, began, nodes.size)
         sources, weights = nodes.points(), values * areas
         opening = (rim.normal, rim.index)
     began = time.perf_counter()
     path = _path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
-    result = _summed(channel, path, sources, weights, grid, wavelength, options.method, tolerance)
+    result = _summed(channel, path, sources, weights, grid, *how, tolerance, setup.costs)
     values = result.field.reshape(grid.shape)
     if channel.hidden is not None:
         _require_dark(channel, values)
@@ -114,7 +114,7 @@ def _without_openings(
     assembly, began = setup.assembly, time.perf_counter()
     path = _path(channel, 0, detector_plane(channel.grid), None, assembly.beam.wavelength)
     clear = is_clear(setup, channel, scatterers.position, setup.frame.axes)
-    how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance
+    how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance, setup.costs
     results, share = [], None
 
     def radiated(weights: np.ndarray) -> np.ndarray:
@@ -138,7 +138,7 @@ def _on_first_opening(
     lobe: Lobe | None,
 ) -> tuple[np.ndarray, list[tuple[How, float]]]:  # fmt: skip
     """The field (n,) at the nodes of the first opening, and how each sum was done with its error."""
-    how = setup.assembly.beam.wavelength, setup.assembly.options.method, tolerance
+    how = setup.assembly.beam.wavelength, setup.assembly.options.method, tolerance, setup.costs
     sources, results = scatterers.position, []
     shadowed = has_shadow(channel, rim, sources, setup.frame.axes)
 
@@ -301,7 +301,8 @@ def _shadowed_field(
 
     whole: (rows, columns) the field without them. Returns the share of pixels in shadow and the error of sharing, too.
     """
-    how = setup.assembly.beam.wavelength, setup.assembly.options.method, setup.assembly.options.tolerance
+    options = setup.assembly.options
+    how = setup.assembly.beam.wavelength, options.method, options.tolerance, setup.costs
     pixels = grid.points()
 
     def sum_over(group: np.ndarray, seen: np.ndarray) -> np.ndarray:

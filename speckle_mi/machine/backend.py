@@ -30,10 +30,11 @@ def set_variant(name: str = DEFAULT_VARIANT) -> None:
             raise InputError(f"variant {name!r}: finds no GPU with a driver here, must be one of {there}") from None
 
 
-def ensure_variant() -> None:
-    """Activates the default variant where none is active, as in a process that was sent an assembly."""
+def ensure_variant() -> str:
+    """The active variant; the default one is activated where none is, as in a process that was sent an assembly."""
     if mi.variant() is None:
         set_variant()
+    return mi.variant()
 
 
 def is_usable(variant: str) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..geometry.frames import Frame
 from ..geometry.pose import Pose
+from ..propagation.costs import RECORDED, Costs
 from ..scattering.beam import TRUNCATION
 from ..scene.assembly import Assembly, Spot
 from .tracer import Tracer
@@ -16,11 +17,13 @@ from .tracer import Tracer
 
 @dataclass(frozen=True, eq=False)
 class Setup:
-    """assembly: what there is; pose: the target's displacement from rest; tracer: tells which ways are free."""
+    """assembly: what there is; pose: the target's displacement from rest; tracer: tells which ways are free; costs: of
+    the pieces of a sum, from which the cheapest way of doing it is chosen."""
 
     assembly: Assembly
     pose: Pose
     tracer: Tracer
+    costs: Costs = RECORDED
 
     @cached_property
     def frame(self) -> Frame:
