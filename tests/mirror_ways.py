@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from optical_bench import CONDUCTOR, floats, shape
+from optical_bench import CONDUCTOR, WIDEST, floats, shape
 from reference_optics import Opening, Way
 from reference_rays import Face, NoReference, frame_along
-from stray_light import blocked, crosses, refuse_other_ways, shade
+from stray_light import blocked, crosses, refuse_other_ways, shade, shade_over
 
 
 def _fold(b, count):
@@ -84,7 +84,12 @@ def _curved_then_stop(b, sphere, concave):
     b.go(b.log(8, 150))
     b.opening((b.log(0.02, 1.0),), tilt=5, decentre=0.5, outer=b.between(9, 15))
     distance = b.log(10, 200)
-    _shield_all(b, mirrors, distance, _detector_half(b, distance))
+    half = _detector_half(b, distance)
+    _shield_all(b, mirrors, distance, half)
+    end = b.at + distance * b.d
+    b.path.append((b.at, end))
+    shade_over(b, b.at, mirrors, end, 2.5 * min(half, WIDEST))
+    b.path.pop()
     return distance
 
 
@@ -137,6 +142,15 @@ def two_ways_curved(b):
         raise NoReference("the second stop is in the way")
     b.xml.append(shape("aperture", b.name("stop"), stop, axes, floats(radius=hole, outer_radius=outer)))
     b.other_ways.append(Way(b.source, [[], []], [Opening(Face(stop, axes), (hole,))], None, b.index))
+    sphere, first = b.legs[1], b.openings[0].face.vertex
+    b.detector_half = min(_detector_half(b, distance), 1.5)
+    room = 2.5 * b.detector_half + hole
+    b.path += [(b.source, stop), (stop, end), (b.at, end)]
+    shade_over(b, first, [], end, room)
+    shade_over(b, first, [], stop, room)
+    shade_over(b, stop, sphere, end, room)
+    shade_over(b, b.source, sphere, stop, room)
+    del b.path[-3:]
     # The detector faces between the two.
     b.detector_axes = frame_along(-(b.d + direct), b.rng.normal(size=3))
     return distance

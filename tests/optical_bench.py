@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from reference_optics import Opening, Places, Way, edge_field_of, field_of, refracts
 from reference_rays import Face, NoReference, ball_faces, chief, frame_along, lens_faces, rays, trace
-from stray_light import CLEAR, require_free
+from stray_light import CLEAR, require_free, seen_through
 
 COLUMNS, ROWS, COMPARED = 24, 18, 12
 """Pixels of every detector, and on how many of them fields are compared."""
@@ -355,7 +355,22 @@ def _reference(ways, bench):
         ends = [way.source, *(o.face.vertex for o in way.openings), way.detector.face.vertex]
         for leg, p, q in zip(way.legs[1:], ends[1:], ends[2:], strict=False):
             error += 2 / (k * np.linalg.norm(q - p)) if leg else 0.0
+    for way in ways:
+        if len(way.openings) == 1 and any(face.after is None for face in way.legs[-1]):
+            value = value + _thrown_past(way, bench)
     return value, error + bench.extra_error + bench.beside / np.sqrt(np.mean(np.abs(value) ** 2))
+
+
+def _thrown_past(way, bench):
+    """Field (m,) of the light that a stop's edge throws straight to the detector, past the mirror behind the stop."""
+    opening, detector = way.openings[0], way.detector.face
+    targets, holes = detector.points(way.detector.uv), opening.face.points(opening.samples())
+    before_it = np.any((holes - detector.vertex) @ detector.axes[:, 2] > 0)
+    if way.legs[0] or not before_it or not np.any(seen := seen_through(bench, holes, targets)):
+        return 0.0
+    if not np.all(seen):
+        raise NoReference("a part of the stop is seen past the mirror")
+    return edge_field_of(way.source, opening, targets, bench.wavelength)[0]
 
 
 def _scene_text(bench, plane, pitch, tolerance):

@@ -33,10 +33,19 @@ def _through_ball(p, q, ball):
     return nearest < 0.999 * radius
 
 
-def blocked(bench, p, q):
-    """Whether anything on the bench stands between two places."""
-    return any(crosses(p, q, plane) for plane in [*bench.planes, *bench.glass]) or any(
+def blocked(bench, p, q, mirrors=()):
+    """Whether anything on the bench but given mirrors, at which the light ends, stands between two places."""
+    own = {id(face.axes) for face in mirrors}
+    return any(crosses(p, q, plane) for plane in [*bench.planes, *bench.glass] if id(plane[1]) not in own) or any(
         _through_ball(p, q, ball) for ball in [*bench.balls, *bench.glass_balls])
+
+
+def seen_through(bench, holes, places):
+    """Whether each of places of a hole (n, 3) sees each of others (m, 3) that lie where its light goes, (n, m)."""
+    centre, axes = next((c, a) for c, a, _, hole in bench.planes if hole is not None and np.allclose(c, holes[0]))
+    side = float((bench.source - centre) @ axes[:, 2])
+    behind = [float((place - centre) @ axes[:, 2]) * side < 0 for place in places]
+    return np.array([[b and not blocked(bench, p, q) for q, b in zip(places, behind, strict=True)] for p in holes])
 
 
 def require_free(bench):
@@ -67,6 +76,30 @@ def _shield(bench, targets, room):
         bench.baffle(centre, normal, half)
         return
     raise NoReference("no room for a baffle")
+
+
+def shade_over(bench, start, faces, place, room):
+    """Shuts out the light that goes from one place over faces to another, if any does.
+
+    By a baffle of half-width ``room``, clear of the chief path.
+    """
+    try:
+        corners = _corners(start, faces, place)
+    except NoReference as reason:
+        if "several" in str(reason):
+            raise
+        return
+    legs = [(p, q) for p, q in zip(corners, corners[1:], strict=False)]
+    if any(blocked(bench, p, q, faces) for p, q in legs):
+        return
+    for f in bench.rng.permutation(np.linspace(0.05, 0.95, 19)):
+        for p, q in legs:
+            centre = p + f * (q - p)
+            screen = (centre, frame_along(q - p), (room, room), None)
+            if not any(crosses(a, b, screen) for a, b in bench.path if np.linalg.norm(b - a) > 0):
+                bench.baffle(centre, q - p, room)
+                return
+    raise NoReference("no room for a baffle across a ray")
 
 
 def shade(bench, targets, room):

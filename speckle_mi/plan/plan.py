@@ -97,14 +97,13 @@ def make_plan(setup: Setup) -> Plan:
     bare = [_bare(setup, route) for route in arrivals.routes]
     strengths = [strength_of(setup, one.route, one.interactions, one.grid, spots) for one in bare]
     lit = arrivals.in_area and any(strength.lit for strength in strengths)
-    kept, stages = _kept(setup, bare, strengths) if lit else (bare, [])
-    channels = tuple(_channel(setup, one) for one in kept)
+    channels, stages = _channels(setup, bare, strengths) if lit else ([_channel(setup, one) for one in bare], [])
     stages = [*(stage for channel in channels for stage in channel.stages), *stages]
     warnings = ()
     if not lit:
         stages.append(Stage(BESIDE))
         warnings = (f"no geometric light reaches the detector: {blocker}",)
-    return Plan(channels, tuple(stages), warnings)
+    return Plan(tuple(channels), tuple(stages), warnings)
 
 
 def _is_devious(channel: Channel) -> bool:
@@ -112,27 +111,32 @@ def _is_devious(channel: Channel) -> bool:
     return any(interaction.reflects_inside for interaction in channel.route.interactions)
 
 
-def _kept(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:
-    """The ways that count beside those of straight light, and stages that say what the others amount to.
+def _channels(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:
+    """The ways of straight light and those that count beside it, and stages that say what the others amount to.
 
     A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the
-    detector, where no diffraction is asked for, or where its integral is not affordable; light that is totally
-    reflected inside a glass, as along the inside of a plate, beside light that is not.
+    detector, where no diffraction is asked for, or where its integral is not affordable or cannot be done; light that
+    is totally reflected inside a glass, as along the inside of a plate, beside light that is not.
     """
     options = setup.assembly.options
     straight = max(strength.amplitude for strength in strengths if strength.lit)
     plain = any(strength.lit and not _is_devious(one) for one, strength in zip(bare, strengths, strict=True))
     kept, stages = [], []
     for channel, strength in zip(bare, strengths, strict=True):
-        share = strength.share * strength.amplitude / straight
+        share = strength.amplitude / straight
         if plain and _is_devious(channel):
             share *= reached_share(channel, setup.spots)
             stages.append(Stage(OTHER_WAY, way=channel.route.label, predicted_error=share))
         elif strength.lit:
-            kept.append(channel)
+            kept.append(_channel(setup, channel))
         elif options.diffraction and options.method != "rays":
-            if share > SHARE * options.tolerance and all_affordable(setup, channel, setup.spots):
-                kept.append(channel)
+            counts = share > SHARE * options.tolerance and all_affordable(setup, channel, setup.spots)
+            try:
+                planned = _channel(setup, channel) if counts else None
+            except SceneError:
+                planned = None
+            if planned:
+                kept.append(planned)
             else:
                 names = tuple(rim.name for rim in channel.rims if rim.is_screen)
                 stages.append(Stage(OTHER_WAY, names, way=channel.route.label, predicted_error=share))

@@ -12,7 +12,6 @@ from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import trace
-from .fresnel import edge_wave, fresnel_parameter
 from .places import detector_places, hole_places
 from .routes import Route
 from .setup import Setup
@@ -28,12 +27,11 @@ _SHARE_SIDE = 9
 class Strength:
     """Of a way's light on the detector.
 
-    lit: whether straight light arrives in its area; share: amplitude of what arrives relative to straight light, 1
-    where lit; amplitude: of straight light over its length [1/mm].
+    lit: whether straight light arrives in its area; amplitude [1/mm]: of it on the detector, or of what edges throw
+    there, at most, where none arrives.
     """
 
     lit: bool
-    share: float
     amplitude: float
 
 
@@ -44,30 +42,112 @@ def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...
     opening before throws its wave there.
     """
     stops = [n for n, step in enumerate(route.steps) if step[2] == "pass"]
-    share, places, start = 1.0, spots, 0
-    directions = None
-    length = 0.0
+    light, start = None, 0
     for stop in (*stops, None):
         last = len(interactions) if stop is None else stop
         between = tuple(i for i in interactions[start:last] if i.action != "pass")
+        start = last
         if stop is None:
-            end, goals = detector_plane(grid), detector_places(grid)
-            size = grid.half_size
+            end, goals, size = detector_plane(grid), detector_places(grid), grid.half_size
         else:
             plane = interactions[stop].surface
-            end, goals = Interaction.through(Surface(plane.frame), interactions[stop].index_before), _hole(plane)
-            size = plane.outline.half_size
-        if directions is not None:
-            share *= _arriving(setup, between, end, places, directions, goals, size)
-        starts, ends = all_pairs(places, goals)
-        aimed = aim(Sequence((*between, end)), starts, ends)
-        good = aimed.converged
-        if np.any(good):
-            length += float(np.mean(aimed.optical_path_length[good]))
-        places, directions, start = ends[good], aimed.arrival[good], last
-        if not len(places):
-            places, directions = goals, None
-    return Strength(share == 1.0, share, 1 / max(length, 1e-300))
+            end = Interaction.through(Surface(plane.frame), interactions[stop].index_before)
+            goals, size = hole_places(plane, _HOLE_SHARES, _HOLE_ANGLES), plane.outline.half_size
+        if light is None:
+            light = _from_spot(Sequence((*between, end)), spots, goals)
+        elif _goes_straight_on(light, Sequence((*between, end)), goals, size):
+            light = _straight_on(light, Sequence((*between, end)), goals)
+        else:
+            light = _thrown(light, Sequence((*between, end)), goals, setup.assembly.beam.wavelength)
+    lit = not light.thrown
+    return Strength(lit, _straight_amplitude(interactions, grid, spots) if lit else light.amplitude)
+
+
+@dataclass(frozen=True)
+class _Light:
+    """What has arrived at places (m, 3) of an opening or the detector.
+
+    directions: (m, 3) it comes from, None where no ray leads there; amplitude [1/mm], the largest; radius of its
+    wavefront [mm]; thrown: whether an edge has sent it there.
+    """
+
+    places: np.ndarray
+    directions: np.ndarray | None
+    amplitude: float
+    radius: float
+    thrown: bool = False
+
+
+def _from_spot(sequence: Sequence, spots: np.ndarray, goals: np.ndarray) -> _Light:
+    starts, ends = all_pairs(spots, goals)
+    aimed = aim(sequence, starts, ends)
+    good = aimed.converged
+    if not np.any(good):
+        radius = _apart(spots, goals)
+        return _Light(goals, None, 1 / radius, radius)
+    amplitude = float(np.min(aimed.amplitude[good]))
+    return _Light(ends[good], aimed.arrival[good], amplitude, 1 / max(amplitude, 1e-300))
+
+
+def _straight_on(light: _Light, sequence: Sequence, goals: np.ndarray) -> _Light:
+    """Light that has gone on from an opening to the next place."""
+    starts, ends = all_pairs(light.places, goals)
+    aimed = aim(sequence, starts, ends)
+    good = aimed.converged
+    radius = light.radius + _apart(light.places, goals)
+    amplitude = light.amplitude * light.radius / radius
+    if not np.any(good):
+        return _Light(goals, None, amplitude, radius, light.thrown)
+    return _Light(ends[good], aimed.arrival[good], amplitude, radius, light.thrown)
+
+
+def _thrown(light: _Light, sequence: Sequence, goals: np.ndarray, wavelength: float) -> _Light:
+    """Light that only the edge of an opening throws to the next place, at most.
+
+    By the Maggi-Rubinowicz integral a place on the edge that is met with the amplitude A and sends light on with the
+    amplitude B, turned by the angle psi, brings A B cot(psi/2)/(4 pi) per length of the edge; about the place where its
+    phase stands still a length of sqrt(lambda/(1/r + 1/s)) counts, and there are two such places, one on either side.
+    """
+    starts, ends = all_pairs(light.places, goals)
+    directions = None if light.directions is None else np.repeat(light.directions, len(goals), axis=0)
+    aimed = aim(sequence, starts, ends)
+    good = aimed.converged
+    apart = _apart(light.places, goals)
+    if directions is None or not np.any(good):
+        # No ray leads there: as if at a right angle.
+        turned, onward, found = np.array([1.0]), np.array([1 / apart]), (goals, None)
+    else:
+        cosine = np.clip(np.einsum("ij,ij->i", directions[good], aimed.launch[good]), -1.0, 1.0)
+        turned = np.sqrt((1 + cosine) / np.maximum(1 - cosine, 1e-300))
+        onward, found = aimed.amplitude[good], (ends[good], aimed.arrival[good])
+    length = np.sqrt(wavelength / (1 / light.radius + onward))
+    wave = 2 * light.amplitude * np.max(onward * turned * length) / (4 * np.pi)
+    return _Light(*found, min(wave, light.amplitude), apart, thrown=True)
+
+
+def _goes_straight_on(light: _Light, sequence: Sequence, goals: np.ndarray, size) -> bool:
+    """Whether light that goes straight on from an opening meets the next one, or the detector, around its middle."""
+    if light.directions is None:
+        return False
+    on = trace(sequence, light.places, light.directions).points[-1]
+    on = on[np.all(np.isfinite(on), axis=1)]
+    frame = sequence.last.surface.frame
+    local = frame.to_local(on)[:, :2] - frame.to_local(goals.mean(axis=0)[None])[0, :2]
+    return bool(np.any(np.all(np.abs(local) <= np.array(size), axis=1)))
+
+
+def _apart(places: np.ndarray, goals: np.ndarray) -> float:
+    return max(float(np.linalg.norm(goals.mean(axis=0) - places.mean(axis=0))), 1e-9)
+
+
+def _straight_amplitude(interactions: tuple[Interaction, ...], grid: PlaneGrid, spots: np.ndarray) -> float:
+    """Amplitude [1/mm] of a way's light on the detector if all of it went straight on, rms."""
+    faces = tuple(interaction for interaction in interactions if interaction.action != "pass")
+    aimed = aim(Sequence((*faces, detector_plane(grid))), *all_pairs(spots, detector_places(grid)))
+    found = aimed.amplitude[aimed.converged]
+    if not len(found):
+        return 1 / float(np.linalg.norm(grid.centre - spots[0]))
+    return float(np.sqrt(np.mean(np.minimum(found, 1e300) ** 2)))
 
 
 def reached_share(channel: Channel, spots: np.ndarray) -> float:
@@ -79,20 +159,3 @@ def reached_share(channel: Channel, spots: np.ndarray) -> float:
     aimed = aim(Sequence((*channel.interactions, detector_plane(channel.grid))), *all_pairs(spots, places))
     reached = aimed.converged & np.all(aimed.margins >= 0, axis=0)
     return float(np.sqrt(max(np.mean(reached), 0.5 / len(places))))
-
-
-def _hole(plane: Surface) -> np.ndarray:
-    return hole_places(plane, _HOLE_SHARES, _HOLE_ANGLES)
-
-
-def _arriving(setup: Setup, between, end: Interaction, places, directions, goals: np.ndarray, size) -> float:
-    """What of the light that goes straight on from an opening arrives within the next one, or on the detector."""
-    on = trace(Sequence((*between, end)), places, directions).points[-1]
-    on = on[np.all(np.isfinite(on), axis=1)]
-    middle = goals.mean(axis=0)
-    length = float(np.linalg.norm(middle - places.mean(axis=0)))
-    aside = length
-    if len(on):
-        local = end.surface.frame.to_local(on)[:, :2] - end.surface.frame.to_local(middle[None])[0, :2]
-        aside = float(np.min(np.hypot(*(np.maximum(np.abs(local) - np.array(size), 0.0)).T)))
-    return float(edge_wave(fresnel_parameter(aside, length, setup.assembly.beam.wavelength)))
