@@ -15,6 +15,7 @@ from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
+from ..plan.cost import is_along_edge
 from ..plan.places import FINE, detector_places, hole_places
 from ..plan.setup import Setup
 from ..plan.shadows import (
@@ -31,6 +32,7 @@ from ..plan.shadows import (
 from ..plan.stage import RAYS, SUM, Stage
 from ..plan.way import Channel, Rim, without_rims
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
+from ..propagation.edge_integral import edge_sum
 from ..propagation.opening_quadrature import TIGHTEST, opening_nodes
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
 from ..propagation.reference import reference_sum
@@ -72,6 +74,10 @@ def channel_field(
     """
     if not channel.openings:
         return _without_openings(setup, scatterers, channel, grid, lobe)
+    if lobe is None and is_along_edge(channel, scatterers.count, grid.size):
+        rim = channel.openings[0]
+        if not has_shadow(channel, rim, scatterers.position, setup.frame.axes):
+            return _along_edge(setup, scatterers, channel, grid, rim)
     options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
     sources, weights, opening = scatterers.position, scatterers.amplitude, None
     how, tolerance = (wavelength, options.method), max(options.tolerance / (len(channel.openings) + 1), 1e-8)
@@ -105,6 +111,18 @@ def channel_field(
     stages += _sums(("the detector",), [(result.how, result.numerical_error)], began)
     uncertain = _QUADRATURE_SAFETY * quadrature * np.sqrt(len(channel.openings))
     return _channel_field(channel, values, stages, uncertain)
+
+
+def _along_edge(setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, rim: Rim) -> ChannelField:
+    """The field behind one opening in space as straight light and the wave of its edge."""
+    began, wavelength = time.perf_counter(), setup.assembly.beam.wavelength
+    plane = rim.plane
+    result = edge_sum(plane.outline, plane.frame, scatterers.position, scatterers.amplitude, grid, wavelength)
+    if channel.hidden is not None:
+        _require_dark(channel, result.field)
+    return _channel_field(
+        channel, result.field, _sums(("the detector",), [(result.how, result.numerical_error)], began)
+    )
 
 
 def _without_openings(

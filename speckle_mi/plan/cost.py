@@ -7,13 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..geometry.outline import Circle, Rectangle
 from ..machine.memory import excess
 from ..machine.run_times import duration
 from ..propagation.costs import RECORDED
-from ..propagation.opening_quadrature import estimated_nodes
+from ..propagation.edge_integral import PAIR_SECONDS, estimated_places
+from ..propagation.opening_quadrature import MOST_NODES, estimated_nodes
 from ..scattering.rough_surface import RoughSurface
 from ..scene.assembly import Assembly
-from .way import Channel
+from .way import Channel, PhaseGradient, Rim
 
 LONG = 600.0
 """Seconds of a frame from which on it is only begun when that is asked for."""
@@ -21,8 +23,8 @@ LONG = 600.0
 WORTH_SAYING = 5.0
 """Seconds of a frame from which on the user is told beforehand."""
 
-NODE_BYTES = 160
-"""Memory of a node of an opening: its place, area and field, and what a sum over it takes beside."""
+NODE_BYTES, NODE_SECONDS = 160, 1e-6
+"""Memory of a node of an opening: its place, area and field, and what a sum over it takes beside; time to place it."""
 
 _EXPANSION_RANK = 20
 """Terms that a NUFFT of many sources is taken to need."""
@@ -50,11 +52,41 @@ def cost_of(assembly: Assembly, channels: tuple[Channel, ...]) -> Cost:
     for channel in channels:
         openings = zip(channel.openings, channel.gradients, strict=True)
         nodes = [estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) for rim, gradient in openings]
+        if is_along_edge(channel, scatterers, pixels):
+            seconds += edge_seconds(channel, scatterers, pixels)
+            continue
         counts = [scatterers, *nodes, pixels]
         for number, (sources, points) in enumerate(zip(counts[:-1], counts[1:], strict=True)):
             seconds += _leg_seconds(sources, points, bool(channel.leg(number)))
+        seconds += NODE_SECONDS * sum(nodes)
         memory += NODE_BYTES * sum(nodes)
     return Cost(assembly.sub_pixels**2 * seconds, memory)
+
+
+def edge_seconds(channel: Channel, sources: float, points: int) -> float:
+    """Of the integral along the edge of a channel's one opening; inf where there is none with only space around it."""
+    if len(channel.openings) != 1 or channel.leg(0) or channel.leg(1):
+        return np.inf
+    return rim_seconds(channel.openings[0], channel.gradients[0], sources, points)
+
+
+def rim_seconds(rim: Rim, gradient: PhaseGradient, sources: float, points: int) -> float:
+    """Of the integral along a rim with only space around it; inf where it has no formula for that."""
+    if not isinstance(rim.plane.outline, (Circle, Rectangle)):
+        return np.inf
+    along = gradient.bound if gradient.tilt is None else gradient.tilt
+    return PAIR_SECONDS * estimated_places(rim.plane.outline, along) * sources * points
+
+
+def is_along_edge(channel: Channel, sources: float, points: int) -> bool:
+    """Whether the integral over a channel's one opening is done along its edge, as that takes less time."""
+    along = edge_seconds(channel, sources, points)
+    if not np.isfinite(along):
+        return False
+    rim, gradient = channel.openings[0], channel.gradients[0]
+    nodes = estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt)
+    legs = _leg_seconds(sources, nodes, False) + _leg_seconds(nodes, points, False)
+    return nodes > MOST_NODES or along < NODE_SECONDS * nodes + legs
 
 
 def expected_scatterers(assembly: Assembly) -> float:

@@ -19,6 +19,7 @@ from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes
+from .cost import expected_scatterers, rim_seconds
 from .fresnel import edge_wave, fresnel_distance, fresnel_parameter
 from .legs import leg, straight_on
 from .places import FINE, detector_places, hole_places
@@ -32,8 +33,8 @@ CUTS = 1.5
 SHARE = 0.3
 """Part of the tolerance that the wave of an edge may have and still be left out."""
 
-AFFORDABLE_NODES = 200_000
-"""Nodes up to which a rim that only touches the light is diffracted at."""
+AFFORDABLE_NODES, AFFORDABLE_SECONDS = 200_000, 2.0
+"""Nodes, or seconds along its edge, up to which a rim that only touches the light is diffracted at."""
 
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
 _GRADIENT_SAFETY = 1.05
@@ -69,6 +70,7 @@ def chosen_edges(
     """
     openings = list(first)
     unaffordable: set[int] = set()
+    alone: Rim | None = None
     while True:
         relayed = with_windows(setup, channel, sorted(openings, key=lambda rim: rim.position), spots)
         chosen = list(relayed.openings)
@@ -80,7 +82,14 @@ def chosen_edges(
             return relayed, tuple(waves)
         nearest = min(wanted, key=lambda one: one.v)
         if nearest.v < CUTS or _is_affordable(setup, channel, nearest.rim, chosen, spots):
+            if alone is not None:  # it could be afforded only as long as there was no other
+                openings.remove(alone)
+                unaffordable.add(alone.number)
+                alone = None
             openings.append(nearest.rim)
+        elif not chosen and _is_affordable_alone(setup, channel, nearest.rim, spots):
+            alone = nearest.rim
+            openings.append(alone)
         else:
             unaffordable.add(nearest.rim.number)
 
@@ -202,9 +211,25 @@ def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], 
     return estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) <= AFFORDABLE_NODES
 
 
+def _is_affordable_alone(setup: Setup, channel: Channel, rim: Rim, spots: np.ndarray) -> bool:
+    """Whether the integral along a rim is affordable, as the only one on its way and with only space around it."""
+    (leading, _), (trailing, _) = leg(channel, None, rim), leg(channel, rim, None)
+    if leading or trailing or setup.assembly.target.lobe is not None:
+        return False
+    ends = _ends(channel, None, spots), _ends(channel, None, None)
+    try:
+        gradient = phase_gradient(channel, rim, None, None, *ends, setup.assembly.beam.wavelength, 1.0)
+    except InputError:
+        return False
+    scatterers, pixels = expected_scatterers(setup.assembly), channel.grid.size
+    return rim_seconds(rim, gradient, scatterers, pixels) <= AFFORDABLE_SECONDS
+
+
 def all_affordable(setup: Setup, channel: Channel, spots: np.ndarray) -> bool:
     """Whether a way over openings alone can be diffracted at all of them."""
     screens = sorted((rim for rim in channel.rims if rim.is_screen), key=lambda rim: rim.position)
+    if len(screens) == 1 and _is_affordable_alone(setup, channel, screens[0], spots):
+        return True
     return all(_is_affordable(setup, channel, rim, screens, spots) for rim in screens)
 
 

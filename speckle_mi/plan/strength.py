@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,9 +38,12 @@ class Strength:
 def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...], grid: PlaneGrid, spots) -> Strength:
     """How strong a way's light is; interactions, grid: the way with plane mirrors unfolded.
 
-    From one place to the next (spot, openings, detector) rays go straight on. Where they miss the next, the edge of the
-    opening before throws its wave there.
+    A ray from the spot to the detector clears all outlines, or rays from one place to the next (spot, openings,
+    detector) go straight on. Where they miss the next, the edge of the opening before throws its wave there.
     """
+    straight = _straight(interactions, grid, spots)
+    if straight.lit:
+        return straight
     stops = [n for n, step in enumerate(route.steps) if step[2] == "pass"]
     light, start = None, 0
     for stop in (*stops, None):
@@ -59,8 +62,17 @@ def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...
             light = _straight_on(light, Sequence((*between, end)), goals)
         else:
             light = _thrown(light, Sequence((*between, end)), goals, setup.assembly.beam.wavelength)
-    lit = not light.thrown
-    return Strength(lit, _straight_amplitude(interactions, grid, spots) if lit else light.amplitude)
+    return Strength(False, light.amplitude) if light.thrown else replace(straight, lit=True)
+
+
+def _straight(interactions: tuple[Interaction, ...], grid: PlaneGrid, spots: np.ndarray) -> Strength:
+    """Whether a ray from the spot to one of some places on the detector clears all outlines; and how strong it is."""
+    aimed = aim(Sequence((*interactions, detector_plane(grid))), *all_pairs(spots, detector_places(grid)))
+    found = aimed.converged
+    if not np.any(found):
+        return Strength(False, 1 / _apart(spots, grid.centre[None]))
+    amplitude = float(np.sqrt(np.mean(np.minimum(aimed.amplitude[found], 1e100) ** 2)))
+    return Strength(bool(np.any(np.all(aimed.margins[:, found] >= 0, axis=0))), amplitude)
 
 
 @dataclass(frozen=True)
@@ -138,16 +150,6 @@ def _goes_straight_on(light: _Light, sequence: Sequence, goals: np.ndarray, size
 
 def _apart(places: np.ndarray, goals: np.ndarray) -> float:
     return max(float(np.linalg.norm(goals.mean(axis=0) - places.mean(axis=0))), 1e-9)
-
-
-def _straight_amplitude(interactions: tuple[Interaction, ...], grid: PlaneGrid, spots: np.ndarray) -> float:
-    """Amplitude [1/mm] of a way's light on the detector if all of it went straight on, rms."""
-    faces = tuple(interaction for interaction in interactions if interaction.action != "pass")
-    aimed = aim(Sequence((*faces, detector_plane(grid))), *all_pairs(spots, detector_places(grid)))
-    found = aimed.amplitude[aimed.converged]
-    if not len(found):
-        return 1 / float(np.linalg.norm(grid.centre - spots[0]))
-    return float(np.sqrt(np.mean(np.minimum(found, 1e300) ** 2)))
 
 
 def reached_share(channel: Channel, spots: np.ndarray) -> float:

@@ -78,7 +78,8 @@ KERNEL_PAIRS = 50_000
 
 
 EVERY_PAIR, ON_NODES, NUFFT, DARK = "every pair", "every source on nodes", "NUFFT", "dark"
-"""Ways of doing a sum."""
+ALONG_EDGE = "along the edge"
+"""Ways of doing a sum; the last one is that of ``edge_integral``."""
 
 ASKED, FASTEST, ONLY, LAST_RESORT = "as asked", "predicted fastest", "nothing else applies", "nothing cheaper"
 """Why one of them was taken."""
@@ -110,6 +111,8 @@ class How:
         """In words, one line."""
         if self.kind == DARK:
             return "dark: no source has any weight"
+        if self.kind == ALONG_EDGE:
+            return f"the light that comes straight through and {self.pairs:.3g} waves of places of the edge"
         missed = "".join(f"; {kind} missed the tolerance with {error:.1e}" for kind, error in self.missed)
         why = {
             FASTEST: f"predicted faster than {' and '.join(self.slower)}",
