@@ -24,7 +24,7 @@ from .deformation import Deformation
 from .light import flatten, smoothing_of
 from .matching import Matcher
 from .shift import Shift, no_shift
-from .speckle_statistics import is_evenly_lit
+from .speckle_statistics import has_even_light
 
 DEFAULT_WINDOW = 256
 """Side of the correlation window [px]."""
@@ -113,7 +113,7 @@ class Correlator:
         if window is None:
             self._window = _lit_window(image, self._window)
         self._image, self._defects, self._mosaic = _cleaned(image, self._mask)
-        self._smoothing = self._asked or _uneven(self._image)
+        self._smoothing = self._asked or _smoothing_of(self._image, deviation(self._image))
 
     def shift(self, moved: np.ndarray) -> Shift:
         """Shift of ``moved`` (rows, columns) from the reference.
@@ -159,13 +159,16 @@ class Correlator:
         if self._image is None:
             self._prepare()
         image, defects, mosaic = _cleaned(as_image(moved, "moved image"), self._mask, self._defects.usual)
-        smoothing = self._smoothing or _uneven(image)
-        return self._matcher(smoothing), _pattern(image, smoothing), defects, mosaic
+        pattern = deviation(image)
+        smoothing = self._smoothing or _smoothing_of(image, pattern)
+        if smoothing is not None:
+            pattern = deviation(flatten(image, smoothing))
+        return self._matcher(smoothing), pattern, defects, mosaic
 
     def _matcher(self, smoothing: float | None) -> Matcher | None:
         """The reference's window, of its pattern without what a smoothing takes off; None without a pattern."""
         if smoothing not in self._matchers:
-            pattern = _pattern(self._image, smoothing)
+            pattern = deviation(self._image if smoothing is None else flatten(self._image, smoothing))
             corner = tuple((n - w) // 2 for n, w in zip(self.shape, self._window))
             valid = self._valid(self._defects)
             self._matchers[smoothing] = None if pattern is None else Matcher(pattern, self._window, corner, valid)
@@ -201,13 +204,9 @@ def _cleaned(
     return (repaired(image, defects.mask) if defects.any else image), defects, gains is not None
 
 
-def _uneven(image: np.ndarray) -> float | None:
-    """The smoothing that takes off the light of an image, None where it is even."""
-    return None if is_evenly_lit(image) else smoothing_of(image)
-
-
-def _pattern(image: np.ndarray, smoothing: float | None) -> np.ndarray | None:
-    return deviation(image if smoothing is None else flatten(image, smoothing))
+def _smoothing_of(image: np.ndarray, pattern: np.ndarray | None) -> float | None:
+    """The smoothing that takes off the light of an image, None where it is even. pattern: the image's deviation."""
+    return None if pattern is None or has_even_light(pattern) else smoothing_of(image)
 
 
 def _noted(found: Shift, still: Defects, mosaic: bool) -> Shift:

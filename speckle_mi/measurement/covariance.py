@@ -55,11 +55,9 @@ def checked_image(image: np.ndarray, name: str = "image") -> np.ndarray:
 
 def deviation(image: np.ndarray) -> np.ndarray | None:
     """Finite float64 image minus its mean, divided by its rms deviation; None if the image is constant."""
-    if not np.any(image):
-        return None
     scaled = in_range(image)
     scaled -= scaled.mean()
-    rms = math.sqrt(float(np.mean(np.square(scaled))))
+    rms = math.sqrt(float(np.einsum("ij,ij->", scaled, scaled)) / scaled.size)
     if rms < FLAT:
         return None
     scaled /= rms
@@ -68,7 +66,7 @@ def deviation(image: np.ndarray) -> np.ndarray | None:
 
 def in_range(image: np.ndarray) -> np.ndarray:
     """A float64 image over the power of two next above its largest pixel: exact, and its squares stay in range."""
-    return np.ldexp(image, -math.frexp(float(np.max(np.abs(image))))[1])
+    return np.ldexp(image, -math.frexp(max(float(image.max()), -float(image.min())))[1])
 
 
 def autocovariance(intensity: np.ndarray) -> np.ndarray:
@@ -87,13 +85,13 @@ def autocovariance(intensity: np.ndarray) -> np.ndarray:
     padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in image.shape)
     spectrum = fft.rfft2(pattern, padded, workers=usable_cores())
     power = spectrum.real**2 + spectrum.imag**2
-    sums = fft.fftshift(fft.irfft2(power, padded, workers=usable_cores()))
-    middle_v, middle_u = padded[0] // 2, padded[1] // 2
-    sums = sums[middle_v - rows + 1 : middle_v + rows, middle_u - columns + 1 : middle_u + columns]
-    overlap_v = rows - np.abs(np.arange(1 - rows, rows))
+    sums = fft.irfft2(power, padded, workers=usable_cores())
+    # Of a lag and of the one opposite the sums are the same: those of no negative lag along v say all.
+    sums = np.concatenate([sums[:rows, padded[1] - columns + 1 :], sums[:rows, :columns]], axis=1)
+    overlap_v = rows - np.arange(rows)
     overlap_u = columns - np.abs(np.arange(1 - columns, columns))
-    covariance = sums / (overlap_v[:, None] * overlap_u)
-    return covariance / covariance[rows - 1, columns - 1]
+    half = sums / (sums[0, columns - 1] / (rows * columns) * overlap_v[:, None] * overlap_u)
+    return np.concatenate([half[:0:-1, ::-1], half])
 
 
 def central_lobe(covariance: np.ndarray) -> tuple[int, int]:

@@ -32,6 +32,12 @@ SPECKLE_KURTOSIS = 9.0
 """Fourth moment over squared variance of exponentially distributed intensity."""
 
 
+_TO_POWERS = {
+    n: np.linalg.inv(np.vander(np.arange(n) - n // 2.0, increasing=True)) for n in (1, 3, 2 * PATCH + 1)
+}
+"""What makes coefficients of a polynomial out of its values at so many places about the middle."""
+
+
 def _log_maximum(patch: np.ndarray) -> tuple[tuple[float, float], float] | None:
     """Offset (v, u) from the middle and height of the maximum of a patch of NCC values, or None.
 
@@ -41,8 +47,7 @@ def _log_maximum(patch: np.ndarray) -> tuple[tuple[float, float], float] | None:
     """
     if patch.min() <= 0.0:
         return None
-    nodes = [np.arange(n) - n // 2 for n in patch.shape]
-    to_powers = [np.linalg.inv(np.vander(x.astype(float), increasing=True)) for x in nodes]
+    to_powers = [_TO_POWERS[n] for n in patch.shape]
     coefficients = to_powers[0] @ np.log(patch) @ to_powers[1].T
     place = np.zeros(2)
     free = [axis for axis in (0, 1) if patch.shape[axis] > 1]

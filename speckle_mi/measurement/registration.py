@@ -35,7 +35,7 @@ CELLS = 5
 """Places of a box, along each axis, at which its sum is taken."""
 
 CONVERGED, SHARE_OF_NOISE = 1e-8, 0.05
-"""The step that is the last [px], absolute and as a share of what white noise as large as the residual makes."""
+"""The next step that is not taken any more [px], absolute and as a share of what white noise as large as the residual makes."""
 
 HALF_STENCIL = 5
 """Pixels on each side in the moved image's derivative, which sets the step and the uncertainty, not the result."""
@@ -96,8 +96,17 @@ def _stencil() -> np.ndarray:
 STENCIL = _stencil()
 
 
-def _derivative(values: np.ndarray, axis: int) -> np.ndarray:
-    return ndimage.correlate1d(values, STENCIL, axis, mode="nearest")
+def _derivative_transposed(values: np.ndarray, axis: int) -> np.ndarray:
+    """What the products of ``values`` with a derivative along ``axis`` are products of with the values derived.
+
+    The derivative is the stencil's, with an image continued as it ends at its edges.
+    """
+    around = [(HALF_STENCIL, HALF_STENCIL) if a == axis else (0, 0) for a in (0, 1)]
+    spread = ndimage.correlate1d(np.pad(values, around), -STENCIL, axis, mode="constant")
+    lead = np.moveaxis(spread, axis, 0)
+    lead[HALF_STENCIL] += lead[:HALF_STENCIL].sum(axis=0)
+    lead[-HALF_STENCIL - 1] += lead[-HALF_STENCIL:].sum(axis=0)
+    return np.moveaxis(lead[HALF_STENCIL:-HALF_STENCIL], 0, axis)
 
 
 class Subset:
@@ -130,7 +139,11 @@ class Subset:
         spectrum = self._spectrum(reference, (0, 0))
         self.values = self.centred(self._window(spectrum))
         self.energy = _dot(self.values, self.values)
-        self.gradients = [self.along(self._window(spectrum * (2j * np.pi * self.frequency[a]))) for a in self.axes]
+        self._set_gradients([self._window(spectrum * (2j * np.pi * self.frequency[a])) for a in self.axes])
+
+    def _set_gradients(self, gradients: list[np.ndarray]) -> None:
+        self.gradients = [self.along(g) for g in gradients]
+        self.gradients_derived = [[_derivative_transposed(g, a).copy() for a in self.axes] for g in self.gradients]
 
     def _kept(self, valid: np.ndarray | None, displacement: tuple[int, int]) -> np.ndarray | None:
         """Pixels of the window, displaced, that no masked pixel of an image reaches; None if that is all of them."""
@@ -188,7 +201,7 @@ class Subset:
             return self._restricted(kept).find(moved, displacement, start)
         spectrum = self._spectrum(moved, displacement)
         place = np.array(start, dtype=float)
-        inverse = None
+        inverse, last = None, 0.0
         for _ in range(ITERATIONS):
             values = self.centred(self._window(self._shifted(spectrum, place)))
             energy, product = _dot(values, values), _dot(values, self.values)
@@ -202,7 +215,10 @@ class Subset:
             place -= step
             if not np.abs(place - start).max() < FARTHEST:
                 return None
-            if np.abs(step).max() < max(CONVERGED, SHARE_OF_NOISE * self._noise(inverse, residual)):
+            before, last = last, np.abs(step).max()
+            # Steps shrink by about the same factor each: what the next one will be is known without taking it.
+            following = last * min(1.0, last / before) if before else last
+            if following < max(CONVERGED, SHARE_OF_NOISE * self._noise(inverse, residual)):
                 break
         covariance = np.full((2, 2), np.nan)
         covariance[np.ix_(self.axes, self.axes)] = inverse @ self._score_variance(values, product, energy) @ inverse.T
@@ -215,7 +231,7 @@ class Subset:
         other.kept = kept if self.kept is None else kept & self.kept
         other.values = other.centred(self.values)
         other.energy = _dot(other.values, other.values)
-        other.gradients = [other.along(g) for g in self.gradients]
+        other._set_gradients(self.gradients)
         return other
 
     def _inverse(self, values: np.ndarray) -> np.ndarray | None:
@@ -223,8 +239,7 @@ class Subset:
 
         With the moved image's gradient beside the reference's: what both share counts and not the noise of either.
         """
-        moved = [_derivative(values, axis) for axis in self.axes]
-        slope = np.array([[_dot(g, m) for m in moved] for g in self.gradients])
+        slope = np.array([[_dot(d, values) for d in derived] for derived in self.gradients_derived])
         if not np.linalg.eigvalsh(slope + slope.T).min() > 0.0:
             return None
         return np.linalg.inv(slope)
@@ -242,9 +257,12 @@ class Subset:
 
 def _cell_sums(values: np.ndarray, cell: int, axis: int) -> np.ndarray:
     """Sums over cells of so many pixels along an axis; the last one may be smaller."""
-    if cell == 1:
-        return values
-    return np.add.reduceat(values, np.arange(0, values.shape[axis], cell), axis)
+    lead = np.moveaxis(values, axis, 0)
+    sums = np.copy(lead[::cell])  # in the order in which the values lie
+    for start in range(1, cell):
+        part = lead[start::cell]
+        sums[: len(part)] += part
+    return np.moveaxis(sums, 0, axis)
 
 
 def _running_sums(values: np.ndarray, count: int, axis: int) -> np.ndarray:

@@ -42,14 +42,12 @@ def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
     return float(columns_light @ u) / total, float(rows_light @ v) / total
 
 
-def _neighbours_size(image: np.ndarray) -> float:
+def _neighbours_size(pattern: np.ndarray) -> float:
     """Speckle size [px] that the covariances at 1 and 2 px alone tell: quick, too large under an envelope.
 
-    Of a Gaussian lobe their ratio tells the size whatever the noise of the pixels.
+    pattern: (rows, columns) of mean 0 and rms deviation 1. Of a Gaussian lobe their ratio tells the size whatever the
+    noise of the pixels.
     """
-    pattern = deviation(image)
-    if pattern is None:
-        return math.nan
     # Every fourth line says enough.
     lines = [np.moveaxis(pattern, axis, 0)[:, ::4] for axis in (0, 1) if pattern.shape[axis] > 2]
     if not lines:
@@ -62,7 +60,13 @@ def _neighbours_size(image: np.ndarray) -> float:
 
 def is_evenly_lit(image: np.ndarray) -> bool:
     """Whether the mean of a finite image (rows, columns) is the same everywhere, as far as its speckles tell."""
-    return not is_uneven(image, _neighbours_size(image))
+    pattern = deviation(image)
+    return pattern is None or has_even_light(pattern)
+
+
+def has_even_light(pattern: np.ndarray) -> bool:
+    """`is_evenly_lit` of an image (rows, columns) that was brought to mean 0 and rms deviation 1."""
+    return not is_uneven(pattern, _neighbours_size(pattern))
 
 
 def _speckle(image: np.ndarray) -> np.ndarray:
