@@ -120,14 +120,21 @@ class Correlator:
 
         Raises InputError if its shape is not the reference's or its pixels are not finite.
         """
+        return self.shift_and_deformation(moved)[0]
+
+    def shift_and_deformation(self, moved: np.ndarray, fit: str = "shift") -> tuple[Shift, Deformation | None]:
+        """The shift, and how the window was turned and strained besides; None where that is not to be had.
+
+        fit: one of `deformation.FITS`; "shift" asks for no deformation. Raises as `shift` does.
+        """
         if np.shape(moved) != self.shape and np.ndim(moved) == 2:
             raise InputError(
                 f"moved image: shape {np.shape(moved)} differs from the reference image's {tuple(self.shape)}"
             )
         if self._middle is not None:
-            found = self._middle.shift(np.asarray(moved)[self._place])
+            found, deformed = self._middle.shift_and_deformation(np.asarray(moved)[self._place], fit)
             if found.ok or found.status == "ambiguous":
-                return found
+                return found, deformed
         matcher, pattern, defects, mosaic = self._looked_at(moved)
         for name, values, given, found in (
             ("reference", matcher, self._raw, self._defects), ("moved", pattern, moved, defects)
@@ -136,23 +143,13 @@ class Correlator:
                 continue
             if found.any and deviation(np.asarray(given, dtype=float)) is not None:
                 message = f"all contrast of the {name} image is in what stands out of it like a defect: {found}"
-                return no_shift("not significant", message, self._window)
+                return no_shift("not significant", message, self._window), None
             message = f"the {name} image is constant, there is no pattern to follow"
-            return no_shift("no contrast", message, self._window)
+            return no_shift("no contrast", message, self._window), None
         found = matcher.shift(pattern, self._valid(defects))
-        return _noted(found, self._defects.shared(defects), self._mosaic or mosaic)
-
-    def deformation(self, moved: np.ndarray, shift: Shift, fit: str) -> Deformation | None:
-        """How the window was turned and strained besides a shift that was measured; None where that is not to be had.
-
-        fit: one of `deformation.FITS`.
-        """
-        if not shift.ok or math.isnan(shift.u_px) or math.isnan(shift.v_px):
-            return None
-        if self._middle is not None and shift.window == self._middle.window:
-            return self._middle.deformation(np.asarray(moved)[self._place], shift, fit)
-        matcher, pattern, _, _ = self._looked_at(moved)
-        return None if matcher is None or pattern is None else matcher.deformation(pattern, shift, fit)
+        measured = found.ok and not math.isnan(found.u_px + found.v_px)
+        deformed = matcher.deformation(pattern, found, fit) if fit != "shift" and measured else None
+        return _noted(found, self._defects.shared(defects), self._mosaic or mosaic), deformed
 
     def _looked_at(self, moved: np.ndarray) -> tuple[Matcher | None, np.ndarray | None, Defects, bool]:
         """The reference's window and the moved pattern, None without one; what stood out; whether it was a mosaic."""

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import fft
 
 from ..errors import InputError
-from ..machine.cores import usable_cores
+from ..machine.cores import cores_for_transform
 
 FLAT = 1e-6
 """rms deviation, relative to the largest pixel, below which an image is constant: float32 rounding is 3e-8."""
@@ -83,9 +83,10 @@ def autocovariance(intensity: np.ndarray) -> np.ndarray:
     if pattern is None:
         return np.full((2 * rows - 1, 2 * columns - 1), np.nan)
     padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in image.shape)
-    spectrum = fft.rfft2(pattern, padded, workers=usable_cores())
+    cores = cores_for_transform(*padded)
+    spectrum = fft.rfft2(pattern, padded, workers=cores)
     power = spectrum.real**2 + spectrum.imag**2
-    sums = fft.irfft2(power, padded, workers=usable_cores())
+    sums = fft.irfft2(power, padded, workers=cores)
     # Of a lag and of the one opposite the sums are the same: those of no negative lag along v say all.
     sums = np.concatenate([sums[:rows, padded[1] - columns + 1 :], sums[:rows, :columns]], axis=1)
     overlap_v = rows - np.arange(rows)

@@ -94,20 +94,7 @@ def contrast(intensity: np.ndarray) -> float:
     intensity: (rows, columns). Under uneven light the local contrast. NaN for an image without light. Raises
     InputError for pixels that are not finite.
     """
-    image = in_range(as_image(intensity, "intensity"))
-    if not image.mean() > 0.0:
-        return math.nan
-    image = _speckle(image)
-    return float(np.nanstd(image)) / float(np.nanmean(image))
-
-
-def _speckle_covariance(intensity: np.ndarray) -> np.ndarray:
-    """Autocovariance of an image's speckle, without noise and envelope."""
-    image = as_image(intensity, "intensity")
-    if not np.any(image):
-        return autocovariance(image)
-    image = middle(_speckle(in_range(image)), LARGEST_PIECE)
-    return without_noise(autocovariance(np.where(np.isnan(image), np.nanmean(image), image)))
+    return _contrast(_speckle_of(intensity))
 
 
 def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
@@ -117,7 +104,29 @@ def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
     slope of brightness would pass for a speckle) and for a constant image. Raises InputError for pixels that are
     not finite.
     """
-    covariance = _speckle_covariance(intensity)
+    return _size(_speckle_of(intensity))
+
+
+def contrast_and_size(intensity: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """`contrast` and `speckle_size` of one image (rows, columns), for little more than the price of one."""
+    speckle = _speckle_of(intensity)
+    return _contrast(speckle), _size(speckle)
+
+
+def _speckle_of(intensity: np.ndarray) -> np.ndarray:
+    """An image's speckle as `_speckle` leaves it. Raises InputError for pixels that are not finite."""
+    image = as_image(intensity, "intensity")
+    return _speckle(in_range(image)) if np.any(image) else image
+
+
+def _contrast(speckle: np.ndarray) -> float:
+    mean = float(np.nanmean(speckle))
+    return float(np.nanstd(speckle)) / mean if mean > 0.0 else math.nan
+
+
+def _size(speckle: np.ndarray) -> tuple[float, float]:
+    speckle = middle(speckle, LARGEST_PIECE)
+    covariance = without_noise(autocovariance(np.where(np.isnan(speckle), np.nanmean(speckle), speckle)))
     rows, columns = (covariance.shape[0] + 1) // 2, (covariance.shape[1] + 1) // 2
     u = 2.0 * half_width(covariance[rows - 1, columns - 1 :])
     v = 2.0 * half_width(covariance[rows - 1 :, columns - 1])
