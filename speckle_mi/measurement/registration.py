@@ -14,6 +14,7 @@ photons, quantisation and decorrelation are all in the residual.
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import dataclass
 
@@ -36,6 +37,9 @@ CELLS = 5
 
 CONVERGED, SHARE_OF_NOISE = 1e-8, 0.05
 """The next step that is not taken any more [px], absolute and as a share of what white noise as large as the residual makes."""
+
+MOST_TAKEN_OFF = 1.5
+"""Largest share by which Bartlett's weights are taken to have lessened a variance."""
 
 HALF_STENCIL = 5
 """Pixels on each side in the moved image's derivative, which sets the step and the uncertainty, not the result."""
@@ -277,20 +281,32 @@ def _running_sums(values: np.ndarray, count: int, axis: int) -> np.ndarray:
 def score_variance(gradients: list[np.ndarray], residual: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
     """Covariance (n, n) of the sums of n gradients (rows, columns) times a residual that is correlated over ``reach``.
 
-    Of the sums over boxes that overlap, which are Bartlett's weights of the lags.
+    Of the sums over boxes that overlap, which are Bartlett's weights of the lags, times what those take off a
+    correlation within the reach: as much as weights that are flat up to half of it have more, on the mean of the
+    gradients (D. N. Politis and J. P. Romano, DOI 10.1111/j.1467-9892.1995.tb00223.x). They alone scatter too much.
     """
     box = tuple(min(2 * r + 1, max(w // 3, 1)) for r, w in zip(reach, residual.shape))
     cell = tuple(max(1, round(side / CELLS)) for side in box)
     count = tuple(max(1, round(side / c)) for side, c in zip(box, cell))
-    box = tuple(n * c for n, c in zip(count, cell))
-    sums = []
+    half = tuple((n + 1) // 2 for n in count)
+    sums, flat = [], []
     for gradient in gradients:
         score = gradient * residual
         for axis, c in enumerate(cell):  # of both axes first, so that boxes slide over few numbers
             score = _cell_sums(score, c, axis)
-        for axis, n in enumerate(count):
-            score = _running_sums(score, n, axis)
-        sums.append(score)
+        along = {n: _running_sums(score, n, 0) for n in {count[0], half[0]}}
+        boxes = {(m, n): _running_sums(along[m], n, 1) for m in along for n in {count[1], half[1]}}
+        sums.append(boxes[count])
+        flat.append(_flat(count, half, {size: _dot(b, b) / math.prod(size) for size, b in boxes.items()}))
+    covariance = np.array([[_dot(a, b) for b in sums] for a in sums]) / math.prod(count)
+    variance = np.diag(covariance)
+    taken_off = float(np.mean(np.divide(flat, variance, out=np.ones(len(flat)), where=variance > 0.0)))
     # The whole sum is zero where the iteration ends, which takes this share of the variance away.
-    left = 1.0 - np.prod(box) / np.prod(residual.shape)
-    return np.array([[_dot(a, b) for b in sums] for a in sums]) / (np.prod(count) * left)
+    left = 1.0 - math.prod(count) * math.prod(cell) / math.prod(residual.shape)
+    return covariance * (min(max(taken_off, 1.0), MOST_TAKEN_OFF) / left)
+
+
+def _flat(count: tuple[int, int], half: tuple[int, int], bartlett: dict[tuple[int, int], float]) -> float:
+    """Variance with weights that are flat up to ``half`` and 0 from ``count`` on, of those that fall off at once."""
+    weights = [{n: 1.0} if n == h else {n: n / (n - h), h: h / (h - n)} for n, h in zip(count, half)]
+    return sum(a * b * bartlett[m, n] for m, a in weights[0].items() for n, b in weights[1].items())
