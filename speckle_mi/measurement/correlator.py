@@ -14,15 +14,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from ..errors import InputError
-from .covariance import as_image, deviation, in_range
+from .covariance import as_image, checked_image, deviation, in_range
 from .defects import Defects, Usual, defects_of, mosaic_gains, repaired, without_mosaic
 from .deformation import Deformation
 from .light import flatten, smoothing_of
 from .matching import Matcher
+from .reduced import block_means, matching_pieces
 from .shift import Shift, no_shift
 from .speckle_statistics import has_even_light
 
@@ -85,18 +87,18 @@ class Correlator:
             )
         if smoothing is not None and not 1.0 <= smoothing < math.inf:
             raise InputError(f"smoothing = {smoothing:g} px: must be at least 1 px")
-        self._middle = None
+        self._middle, self._alone = None, True
         side = max(MIDDLE, 4 * (window or DEFAULT_WINDOW))
         if len(shape) == 2 and min(shape) > 1 and max(shape) > side:
             self._place = tuple(slice((n - min(n, side)) // 2, (n + min(n, side)) // 2) for n in shape)
             inner = None if mask is None else mask[self._place]
             if inner is None or inner.any():
                 self._middle = Correlator(np.asarray(reference)[self._place], window, mask=inner, smoothing=smoothing)
-        self.shape, self._raw = shape, reference
+                self._middle._alone = False  # what has left its own window is looked for in the whole image
+        self.shape, self._raw = shape, np.asarray(reference)
         self._mask, self._asked = _checked_mask(mask, shape), smoothing
         self._matchers: dict[float | None, Matcher | None] = {}
         self._window_asked = window
-        self._image = None
         if self._middle is None:
             self._prepare()
         self.window = self._middle.window if self._middle is not None else self._window
@@ -135,6 +137,7 @@ class Correlator:
             found, deformed = self._middle.shift_and_deformation(np.asarray(moved)[self._place], fit)
             if found.ok or found.status == "ambiguous":
                 return found, deformed
+            return self._beyond_the_middle(np.asarray(moved), fit)
         matcher, pattern, defects, mosaic = self._looked_at(moved)
         for name, values, given, found in (
             ("reference", matcher, self._raw, self._defects), ("moved", pattern, moved, defects)
@@ -146,15 +149,42 @@ class Correlator:
                 return no_shift("not significant", message, self._window), None
             message = f"the {name} image is constant, there is no pattern to follow"
             return no_shift("no contrast", message, self._window), None
-        found = matcher.shift(pattern, self._valid(defects))
+        found = matcher.shift(pattern, self._valid(defects), self._alone)
         measured = found.ok and not math.isnan(found.u_px + found.v_px)
         deformed = matcher.deformation(pattern, found, fit) if fit != "shift" and measured else None
         return _noted(found, self._defects.shared(defects), self._mosaic or mosaic), deformed
 
+    @cached_property
+    def _means(self) -> tuple[Correlator, np.ndarray, int]:
+        """A correlator for means of blocks of a large reference, these means and the blocks' side [px]."""
+        block = math.ceil(max(self.shape) / MIDDLE)
+        means = block_means(checked_image(self._raw, "reference image"), block)
+        mask = None if self._mask is None else block_means(self._mask, block) == 1.0
+        smoothing = None if self._asked is None else max(1.0, self._asked / block)
+        mask = mask if mask is None or mask.any() else None
+        return Correlator(means, mask=mask, smoothing=smoothing), means, block
+
+    def _beyond_the_middle(self, moved: np.ndarray, fit: str) -> tuple[Shift, Deformation | None]:
+        """Of a large image whose middle shows no shift: roughly in means of blocks, then where both show the same."""
+        correlator, means, block = self._means
+        found = correlator.shift(block_means(checked_image(moved, "moved image"), block))
+        if math.isnan(found.u_px + found.v_px):
+            message = f"of means of {block} x {block} px: {found.message}"
+            return no_shift(found.status, message, self.window, found.ncc, found.significance), None
+        rough = tuple(round(block * shift) for shift in (found.v_px, found.u_px))
+        side = max(MIDDLE, 4 * (self._window_asked or DEFAULT_WINDOW))
+        one, other = matching_pieces(self.shape, rough, side, means, block)
+        mask = None if self._mask is None else self._mask[one] & self._mask[other]
+        window = None if self._window_asked is None else min(self._window_asked, max(s.stop - s.start for s in one))
+        correlator = Correlator(self._raw[one], window, mask=mask, smoothing=self._asked)
+        found, deformed = correlator.shift_and_deformation(moved[other], fit)
+        v, u = rough
+        if deformed is not None:
+            deformed = replace(deformed, shift=(deformed.shift[0] + u, deformed.shift[1] + v))
+        return replace(found, u_px=found.u_px + u, v_px=found.v_px + v), deformed
+
     def _looked_at(self, moved: np.ndarray) -> tuple[Matcher | None, np.ndarray | None, Defects, bool]:
         """The reference's window and the moved pattern, None without one; what stood out; whether it was a mosaic."""
-        if self._image is None:
-            self._prepare()
         image, defects, mosaic = _cleaned(as_image(moved, "moved image"), self._mask, self._defects.usual)
         pattern = deviation(image)
         smoothing = self._smoothing or _smoothing_of(image, pattern)

@@ -105,11 +105,17 @@ class Matcher:
         """What stage 2 needs of the reference, made when it is first needed."""
         return Overlaps(self.reference), Texture(self.reference)
 
-    def shift(self, pattern: np.ndarray, valid: np.ndarray | None = None) -> Shift:
-        """Shift of ``pattern`` (rows, columns) from the reference; valid: False where it says nothing."""
+    def shift(self, pattern: np.ndarray, valid: np.ndarray | None = None, beyond: bool = True) -> Shift:
+        """Shift of ``pattern`` (rows, columns) from the reference; valid: False where it says nothing.
+
+        beyond: whether to look further than where the whole window still is, and for turns.
+        """
         if self.lit and self._much_is_masked(valid):
             return self._masked(pattern, valid)
-        found = self._near(pattern, valid) or self._far(pattern, valid)
+        found = self._near(pattern, valid)
+        if not beyond:
+            return found or no_shift("not significant", "the window is nowhere to be found", self.window)
+        found = found or self._far(pattern, valid)
         # A pattern that was turned may have a peak as broad as one of what stands still.
         if self.lit and found.status in ("not significant", "fixed pattern"):
             return self._turned(pattern, found.significance) or found

@@ -36,7 +36,8 @@ CELLS = 5
 """Places of a box, along each axis, at which its sum is taken."""
 
 CONVERGED, SHARE_OF_NOISE = 1e-8, 0.05
-"""The next step that is not taken any more [px], absolute and as a share of what white noise as large as the residual makes."""
+"""The next step that is not taken any more [px], absolute and as a share of what white noise of the residual's size
+makes."""
 
 MOST_TAKEN_OFF = 1.5
 """Largest share by which Bartlett's weights are taken to have lessened a variance."""

@@ -37,8 +37,8 @@ FINE = 0.3
 
 BROAD = 0.8
 """Fall of a peak's flanks, relative to those of the pattern's own lobe, below which no pattern that moved makes it.
-Of 98 % of the pairs that have lost three quarters of their correlation it is more; what dust or uneven gain make between
-unrelated speckle falls by less, also where they are as fine as the speckle: its own grain is not in it."""
+Of 98 % of the pairs that have lost three quarters of their correlation it is more; what dust or uneven gain make
+between unrelated speckle falls by less, also where they are as fine as the speckle: its own grain is not in it."""
 
 HALF = 0.5
 """Largest correlation that a gain that stands still makes between unrelated speckle, however uneven it is."""
@@ -106,8 +106,8 @@ def of_the_camera(
     if is_broad(surface, peak, origin, texture):
         return (
             "what correlates near zero shift has not the grain of the pattern: it is what stands still in both images"
-            " (dust, uneven gain) and not the speckle, or the pattern was scaled by several percent; take a picture of even"
-            " light and give it as --flat, or a smaller window"
+            " (dust, uneven gain) and not the speckle, or the pattern was scaled by several percent; take a picture of"
+            " even light and give it as --flat, or a smaller window"
         )
     near = all(abs(i - o) <= reach for i, o, reach in zip(peak.place, origin, texture.lobe))
     if near and (height := _spike(surface, origin, peak.ncc, texture.top, pixels, texture)) > 0.0:
