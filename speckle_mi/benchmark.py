@@ -51,18 +51,19 @@ def _compare_shifts(options, identity: dict) -> None:
     from .machine.files import write_json
     from .machine.system import system_information
     from .report.terminal import print_machine, print_table, terminal
-    from .validation.shifts.study import QUICK_PAIRS, QUICK_SIZES, compare_shifts, table
+    from .validation.shifts.study import QUICK_PAIRS, QUICK_SIZES, compare_shifts, table, title
 
     console, system = terminal(options.quiet), system_information()
     print_machine(console, system)
     rows = []
     for row in compare_shifts(**({"sizes": QUICK_SIZES, "pairs": QUICK_PAIRS} if options.quick else {})):
-        say(options, f"window {row.window} px, speckle {row.size:g} px, photons {row.photons or 'without noise'} ...")
+        noise = "no noise" if row.photons is None else f"{row.photons:g} photons"
+        say(options, f"window {row.window} px, speckle {row.size:g} px, {noise} ...")
         rows.append(row)
         if options.out:
             write_json(options.out, {"identity": identity, "system": system, "shifts": [asdict(row) for row in rows]})
     heads, cells = table(rows)
-    print_table(console, heads, cells, title="Shifts: rms error (thousandths of a pixel)", left=(), group_by=1)
+    print_table(console, heads, cells, title=title(rows), left=(), group_by=0)
 
 
 def _measure(options, specimen, console, content: dict) -> None:

@@ -1,6 +1,6 @@
 """Reads examples from files, each with a loader that must refuse or accept it, and writes what came of each.
 
-    python fuzz_worker.py {scene|exr} EXAMPLES.jsonl OUTCOMES.jsonl
+    python fuzz_worker.py {scene|exr|picture} EXAMPLES.jsonl OUTCOMES.jsonl
 
 Runs in a process of its own, so that an abort, a crash or a hang is seen from outside: the outcomes then end early.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 
 
 def main(kind: str, examples: str, outcomes: str) -> None:
-    judge = {"scene": judge_scene, "exr": judge_exr}[kind]
+    judge = {"scene": judge_scene, "exr": judge_exr, "picture": judge_picture}[kind]
     with (
         tempfile.TemporaryDirectory() as folder,
         open(examples, encoding="utf-8") as given,
@@ -54,6 +54,23 @@ def judge_exr(content: bytes, folder: Path) -> tuple[str, str]:
     path.write_bytes(content)
     try:
         image = read_field(path)
+    except FieldImageError as error:
+        return "refused", str(error)
+    except Exception as error:
+        return "fell over", repr(error)
+    return ("accepted", "") if image.intensity.ndim == 2 else ("fell over", f"shape {image.intensity.shape}")
+
+
+def judge_picture(content: bytes, folder: Path) -> tuple[str, str]:
+    from speckle_mi.images.field_image import FieldImageError
+    from speckle_mi.images.pictures import read_image
+    from speckle_mi.machine.quiet import muted
+
+    path = folder / "image"  # what it is says the content, not the name
+    path.write_bytes(content)
+    try:
+        with muted():
+            image = read_image(path)
     except FieldImageError as error:
         return "refused", str(error)
     except Exception as error:

@@ -140,6 +140,34 @@ def test_a_window_as_large_as_the_image_still_finds_a_shift():
     assert found.window == (128 - 10 - 6, 128 - 6 - 6)  # the image less the shift, less 3 px to search on each side
 
 
+@pytest.fixture(scope="module")
+def large():
+    """Images of 3 megapixels, larger than what is looked at pixel by pixel, and their shift."""
+    shift = (700.3, -510.6)
+    return *pair((1400, 2200), 4.0, shift, seed=14), shift
+
+
+@pytest.mark.parametrize("window", [64, None])
+def test_large_images_find_far_shifts_too(large, window):
+    reference, moved, shift = large
+    found = correlate(reference, moved, window)
+    assert error(found, shift) < BIAS
+    assert max(found.sigma_u_px, found.sigma_v_px) < BIAS
+
+
+def test_the_middle_of_a_large_image_may_be_dark(large):
+    reference, moved = (np.zeros((1500, 2400)) for _ in range(2))
+    reference[:500, :600], moved[:500, :600] = pair((500, 600), 4.0, (4.3, -5.8), seed=15)
+    found = correlate(reference, moved)
+    assert error(found, (4.3, -5.8)) < 0.15  # the edge of the light stays where it is, and pulls
+
+
+def test_unrelated_large_images_have_no_shift(large):
+    reference, _, _ = large
+    found = correlate(reference, pair(reference.shape, 4.0, (0.0, 0.0), seed=16)[0])
+    assert found.status == "not significant" and math.isnan(found.u_px)
+
+
 @pytest.mark.parametrize("shift", [33.3, 2333.3, -1500.6])
 def test_a_line_detector_measures_along_its_line_only(shift):
     reference, moved = pair((1, 4096), 5.0, (shift, 0.0), seed=11)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from speckle_mi.measurement.correction import Correction, read_correction
 from speckle_mi.measurement.correlator import correlate
@@ -82,6 +83,25 @@ def test_a_camera_s_offsets_are_told_from_a_shift():
     assert near.status == "fixed pattern" and math.isnan(near.u_px)
     far = correlate(*(image + offsets for image in shifted_pair(SHAPE, 4.0, (9.3, -7.2), 1)))
     assert error(far, (9.3, -7.2)) < 5 * math.hypot(far.sigma_u_px, far.sigma_v_px) and "stands still" in far.message
+
+
+@pytest.mark.parametrize("coarseness", [1.0, 2.0, 4.0])
+def test_an_uneven_gain_between_unrelated_speckle_is_no_shift_of_zero(coarseness):
+    size, random = 3.0, np.random.default_rng(11)
+    field = ndimage.gaussian_filter(random.standard_normal(SHAPE), coarseness * size / 2.355, mode="wrap")
+    gain = np.maximum(1 + 0.5 * field / field.std(), 0.05)
+    statuses = set()
+    for seed in range(6):
+        one, other = (shifted_pair(SHAPE, size, (0.0, 0.0), seed + offset)[0] for offset in (0, 100))
+        statuses.add(correlate(gain * one, gain * other).status)
+    assert "fixed pattern" in statuses and not statuses - {"fixed pattern", "not significant", "ambiguous"}
+
+
+@pytest.mark.parametrize("size", [2.5, 5.0])
+def test_speckle_that_boils_without_moving_is_not_taken_for_a_fixed_pattern(size):
+    for seed in range(6):
+        found = correlate(*shifted_pair(SHAPE, size, (0.0, 0.0), seed, correlation=0.35))
+        assert error(found, (0.0, 0.0)) < 5 * math.hypot(found.sigma_u_px, found.sigma_v_px)
 
 
 def test_the_dark_picture_takes_the_offsets_off():

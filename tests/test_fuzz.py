@@ -1,4 +1,4 @@
-"""Damaged scenes and field images by the thousand: refused in one line or read, never a crash, a hang or an abort.
+"""Damaged scenes, field images and pictures by the thousand: refused in one line or read, never a crash or a hang.
 
 Examples are drawn in batches and judged in a process of their own, where an abort does not take the tests along.
 """
@@ -6,6 +6,7 @@ Examples are drawn in batches and judged in a process of their own, where an abo
 from __future__ import annotations
 
 import base64
+import io
 import json
 import subprocess
 import sys
@@ -22,8 +23,8 @@ from speckle_mi.images.field_image import FieldImage
 
 WORKER = Path(__file__).with_name("fuzz_worker.py")
 BATCH = 250
-BATCHES = {"scene": 4, "exr": 5}
-"""Batches of each kind: 2,250 examples together."""
+BATCHES = {"scene": 4, "exr": 5, "picture": 4}
+"""Batches of each kind: 3,250 examples together."""
 
 SLOWEST = 10.0
 """Seconds that a single example may take on a loaded machine; it takes milliseconds."""
@@ -151,6 +152,39 @@ def whole_images(tmp_path_factory) -> list[bytes]:
     return [path.read_bytes() for path in sorted(folder.iterdir())]
 
 
+@pytest.fixture(scope="session")
+def whole_pictures() -> list[bytes]:
+    """Pictures of every kind that cameras and other programs write."""
+    import imagecodecs
+    import tifffile
+    from PIL import Image
+
+    random = np.random.default_rng(1)
+    deep = random.integers(0, 4096, (16, 20), dtype=np.uint16)
+    colours = random.integers(0, 65536, (16, 20, 3), dtype=np.uint16)
+    grey = (deep >> 4).astype(np.uint8)
+    palette = np.tile(np.arange(256, dtype=np.uint16) * 257, (3, 1))
+    tiffs = [
+        (deep, {"compression": "lzw", "predictor": True}),
+        (deep, {"compression": "zstd"}),
+        (deep, {"compression": "deflate", "tile": (16, 16)}),
+        (grey, {"photometric": "palette", "colormap": palette}),
+        (grey, {"photometric": "miniswhite", "compression": "packbits"}),
+        (np.moveaxis(colours, -1, 0), {"photometric": "rgb", "planarconfig": "separate"}),
+        (deep.astype(np.float32), {"bigtiff": True}),
+    ]
+    whole = [imagecodecs.png_encode(colours)]
+    for values, options in tiffs:
+        buffer = io.BytesIO()
+        tifffile.imwrite(buffer, values, **options)
+        whole.append(buffer.getvalue())
+    for values, kind in ((grey, "PNG"), (deep, "PNG"), (grey, "JPEG"), (grey, "BMP"), (grey, "GIF"), (grey, "WEBP")):
+        buffer = io.BytesIO()
+        Image.fromarray(values).save(buffer, kind)
+        whole.append(buffer.getvalue())
+    return whole
+
+
 @st.composite
 def damaged_images(draw, whole: list[bytes]) -> bytes:
     content = bytearray(draw(st.sampled_from(whole)))
@@ -203,6 +237,14 @@ def test_a_damaged_image_is_refused_in_one_line_or_read(tmp_path, whole_images, 
     all_is_well(examples, judged("exr", examples, tmp_path))
 
 
-def test_the_judge_lets_whole_files_pass(tmp_path, whole_images):
-    assert [outcome for outcome, *_ in judged("exr", whole_images, tmp_path)] == ["accepted"] * len(whole_images)
+@pytest.mark.parametrize("number", range(BATCHES["picture"]))
+def test_a_damaged_picture_is_refused_in_one_line_or_read(tmp_path, whole_pictures, number):
+    examples = drawn(damaged_images(whole_pictures), number)
+    assert len(examples) == BATCH
+    all_is_well(examples, judged("picture", examples, tmp_path))
+
+
+def test_the_judge_lets_whole_files_pass(tmp_path, whole_images, whole_pictures):
+    for kind, whole in (("exr", whole_images), ("picture", whole_pictures)):
+        assert [outcome for outcome, *_ in judged(kind, whole, tmp_path)] == ["accepted"] * len(whole)
     assert judged("scene", [scene_with().encode()], tmp_path)[0][0] == "accepted"

@@ -54,6 +54,17 @@ def test_tiff_of_twelve_packed_bits_tiles_and_big_headers(tmp_path, speckle):
     same(tmp_path / "t.tif", speckle[0])
 
 
+def test_tiff_whose_pages_go_in_a_circle_is_refused(tmp_path, speckle):
+    tifffile.imwrite(tmp_path / "a.tif", speckle[0], metadata=None)
+    content = bytearray((tmp_path / "a.tif").read_bytes())
+    first = int.from_bytes(content[4:8], "little")
+    last = first + 2 + 12 * int.from_bytes(content[first : first + 2], "little")
+    content[last : last + 4] = content[4:8]  # where the next page is: where this one is
+    (tmp_path / "a.tif").write_bytes(content)
+    with pytest.raises(FieldImageError, match="lead back|damaged"):
+        read_image(tmp_path / "a.tif")
+
+
 def test_tiff_whose_white_is_zero_is_turned_round(tmp_path, speckle):
     grey = (speckle[0] >> 4).astype(np.uint8)
     tifffile.imwrite(tmp_path / "w.tif", 255 - grey, photometric="miniswhite")

@@ -9,7 +9,7 @@ import pytest
 
 from speckle_mi.measurement.compare import Comparison
 from speckle_mi.measurement.correlator import Correlator, correlate
-from speckle_mi.validation.shifts.peers import ic_gn
+from speckle_mi.validation.shifts.peers import PEERS, ic_gn, installed
 from speckle_mi.validation.shifts.speckle import shifted_pair, with_photons
 from speckle_mi.validation.shifts.study import OURS, compare_shifts, table
 
@@ -21,6 +21,10 @@ STATED = 0.2
 
 SPREAD_SIGMAS = 4.0
 """Standard errors that an rms over a finite number of pairs is allowed."""
+
+WORSE, UNSHARED = 1.1, 0.4
+"""Error, relative to that of any other program, that is promised; and the share of its errors that the best of them
+does not have in common with ours, since both see the same noise."""
 
 
 def errors(size, photons, correlation, pairs, window=64, seed=0):
@@ -173,6 +177,16 @@ def test_the_comparison_with_others_has_a_row_for_each_noise():
     assert rows[0].rms[OURS] < COARSE < rows[1].rms[OURS]
     heads, cells = table(rows)
     assert "IC-GN" in heads and len(cells) == 3 and all(len(line) == len(heads) for line in cells)
+
+
+@pytest.mark.parametrize("size, photons", [(2.5, None), (2.5, 100.0), (5.0, 1000.0), (8.0, 10.0)])
+def test_no_other_program_measures_a_shift_better(size, photons):
+    assert set(installed()) == set(PEERS), "the extra `test` has them all"
+    pairs = 20
+    (row,) = compare_shifts((64,), (size,), (photons,), {64: pairs})
+    by_chance = 1 + SPREAD_SIGMAS * UNSHARED / math.sqrt(2 * 2 * pairs)
+    for name in PEERS:
+        assert row.rms[OURS] < WORSE * by_chance * row.rms[name], name
 
 
 # --- masks -----------------------------------------------------------------------------------------------------------

@@ -40,7 +40,8 @@ def read_tiff(path: Path, page: int | None) -> np.ndarray:
     with _quiet():
         try:
             with tifffile.TiffFile(path) as file:
-                pages = [p for p in file.pages if not p.is_reduced] or list(file.pages)
+                pages = _all_pages(path, file)
+                pages = [page for page in pages if not page.is_reduced] or pages
                 chosen = pages[page_number(path, len(pages), page)]
                 _check(path, chosen)
                 return _intensity(path, chosen, _values(path, chosen))
@@ -48,6 +49,19 @@ def read_tiff(path: Path, page: int | None) -> np.ndarray:
             raise
         except Exception as error:  # the reader raises errors of its own, and of every codec
             raise damaged(path, error) from None
+
+
+def _all_pages(path: Path, file) -> list:
+    """Pages of a file, each of which says where the next one is. Raises FieldImageError where they go in a circle."""
+    pages = {}
+    for page in file.pages:
+        if page.offset in pages:
+            raise FieldImageError(
+                f"{path}: is a damaged TIFF, its pages lead back to one another; must be a whole TIFF, PNG, JPEG or"
+                " OpenEXR"
+            )
+        pages[page.offset] = page
+    return list(pages.values())
 
 
 def _check(path: Path, page) -> None:

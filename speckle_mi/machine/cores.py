@@ -30,6 +30,15 @@ def usable_cores(process: Path = cgroup.PROCESS) -> int:
     return there if limit >= there else max(1, math.ceil(limit))
 
 
+FEWEST_SHARED = 500_000
+"""Values from which on the threads of a Fourier transform save more time than they take."""
+
+
+def cores_for_transform(*shape: int) -> int:
+    """Processor cores that a Fourier transform of so many values is to be shared out to."""
+    return usable_cores() if math.prod(shape) >= FEWEST_SHARED else 1
+
+
 # A process stays in its group, and its frames take milliseconds, of which reading this anew would take a tenth.
 _limit = lru_cache(maxsize=1)(cgroup.cpu_limit)
 

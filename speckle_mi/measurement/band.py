@@ -10,7 +10,8 @@ out, so they count as more than noise.
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy import fft, ndimage
 
 TILE = 32
 """Side of the tiles whose spectra are averaged [px]."""
@@ -28,22 +29,18 @@ LEAST_PATTERN = 1e-4
 """Smallest share of the power at a frequency that is taken for pattern, so that no frequency is cut off hard."""
 
 
-def _periodogram(tile: np.ndarray, taper: np.ndarray) -> np.ndarray:
-    deviation = (tile - tile.mean()) * taper
-    spectrum = np.fft.fft2(deviation)
-    return spectrum.real**2 + spectrum.imag**2
-
-
 def power_spectrum(pattern: np.ndarray) -> np.ndarray:
     """Smooth power spectrum of a pattern (rows, columns) on the frequencies of a tile: Welch's method, half overlap."""
     sides = tuple(min(TILE, n) for n in pattern.shape)
     tapers = [np.hanning(n + 2)[1:-1] if n > 1 else np.ones(1) for n in sides]
     taper = tapers[0][:, None] * tapers[1]
-    tops, lefts = (range(0, n - side + 1, max(side // 2, 1)) for n, side in zip(pattern.shape, sides))
-    corners = [(top, left) for top in tops for left in lefts]
-    corners = corners[:: max(1, len(corners) // MOST_TILES)]
-    tiles = (pattern[top : top + sides[0], left : left + sides[1]] for top, left in corners)
-    power = sum(_periodogram(tile, taper) for tile in tiles) / len(corners)
+    steps = [max(side // 2, 1) for side in sides]
+    tiles = sliding_window_view(pattern, sides)[:: steps[0], :: steps[1]].reshape(-1, *sides)
+    tiles = tiles[:: max(1, len(tiles) // MOST_TILES)]
+    spectra = fft.rfft2((tiles - tiles.mean(axis=(1, 2), keepdims=True)) * taper)
+    half = (spectra.real**2 + spectra.imag**2).mean(axis=0)
+    opposite = np.roll(half[::-1], 1, axis=0)  # of v as of -v
+    power = np.concatenate([half, opposite[:, (sides[1] - 1) // 2 : 0 : -1]], axis=1)
     return ndimage.uniform_filter(power, [3 if n > 3 else 1 for n in sides], mode="wrap")
 
 

@@ -10,7 +10,7 @@ from ..errors import InputError
 from .correlator import Correlator
 from .deformation import FITS, Deformation
 from .light import middle
-from .speckle_statistics import centre_of_gravity, contrast, speckle_size
+from .speckle_statistics import centre_of_gravity, contrast, contrast_and_size
 
 LARGEST_PIECE = 1024
 """Side of the middle piece of larger images from which the contrast is taken [px]."""
@@ -39,12 +39,11 @@ class Comparison:
         self.um = math.nan if pitch is None else 1e3 * pitch
         self.fit = fit
         self.centre = centre_of_gravity(reference)
-        self.contrast = contrast(middle(np.asarray(reference), LARGEST_PIECE))
-        self.sizes = speckle_size(middle(np.asarray(reference), LARGEST_PIECE))
+        self.contrast, self.sizes = contrast_and_size(middle(np.asarray(reference), LARGEST_PIECE))
 
     def with_moved(self, moved: np.ndarray, note: str = "") -> dict:
         """What the command prints of a moved image (rows, columns)."""
-        shift, um = self.correlator.shift(moved), self.um
+        (shift, found), um = self.correlator.shift_and_deformation(moved, self.fit), self.um
         result = {
             "shift_u_px": shift.u_px,
             "shift_v_px": shift.v_px,
@@ -69,7 +68,6 @@ class Comparison:
             "speckle_size_v_um": self.sizes[1] * um,
         }
         if self.fit != "shift":
-            found = self.correlator.deformation(moved, shift, self.fit)
             result |= _deformed(self.fit, found)
             if found is None and shift.ok:
                 result["message"] = "; ".join(filter(None, (result["message"], f"no fit of {self.fit} was found")))

@@ -14,17 +14,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
 from ..errors import InputError
-from .covariance import as_image, deviation, in_range
+from .covariance import as_image, checked_image, deviation, in_range
 from .defects import Defects, Usual, defects_of, mosaic_gains, repaired, without_mosaic
 from .deformation import Deformation
 from .light import flatten, smoothing_of
 from .matching import Matcher
+from .reduced import block_means, matching_pieces
 from .shift import Shift, no_shift
-from .speckle_statistics import is_evenly_lit
+from .speckle_statistics import has_even_light
 
 DEFAULT_WINDOW = 256
 """Side of the correlation window [px]."""
@@ -85,18 +87,18 @@ class Correlator:
             )
         if smoothing is not None and not 1.0 <= smoothing < math.inf:
             raise InputError(f"smoothing = {smoothing:g} px: must be at least 1 px")
-        self._middle = None
+        self._middle, self._alone = None, True
         side = max(MIDDLE, 4 * (window or DEFAULT_WINDOW))
         if len(shape) == 2 and min(shape) > 1 and max(shape) > side:
             self._place = tuple(slice((n - min(n, side)) // 2, (n + min(n, side)) // 2) for n in shape)
             inner = None if mask is None else mask[self._place]
             if inner is None or inner.any():
                 self._middle = Correlator(np.asarray(reference)[self._place], window, mask=inner, smoothing=smoothing)
-        self.shape, self._raw = shape, reference
+                self._middle._alone = False  # what has left its own window is looked for in the whole image
+        self.shape, self._raw = shape, np.asarray(reference)
         self._mask, self._asked = _checked_mask(mask, shape), smoothing
         self._matchers: dict[float | None, Matcher | None] = {}
         self._window_asked = window
-        self._image = None
         if self._middle is None:
             self._prepare()
         self.window = self._middle.window if self._middle is not None else self._window
@@ -113,21 +115,29 @@ class Correlator:
         if window is None:
             self._window = _lit_window(image, self._window)
         self._image, self._defects, self._mosaic = _cleaned(image, self._mask)
-        self._smoothing = self._asked or _uneven(self._image)
+        self._smoothing = self._asked or _smoothing_of(self._image, deviation(self._image))
 
     def shift(self, moved: np.ndarray) -> Shift:
         """Shift of ``moved`` (rows, columns) from the reference.
 
         Raises InputError if its shape is not the reference's or its pixels are not finite.
         """
+        return self.shift_and_deformation(moved)[0]
+
+    def shift_and_deformation(self, moved: np.ndarray, fit: str = "shift") -> tuple[Shift, Deformation | None]:
+        """The shift, and how the window was turned and strained besides; None where that is not to be had.
+
+        fit: one of `deformation.FITS`; "shift" asks for no deformation. Raises as `shift` does.
+        """
         if np.shape(moved) != self.shape and np.ndim(moved) == 2:
             raise InputError(
                 f"moved image: shape {np.shape(moved)} differs from the reference image's {tuple(self.shape)}"
             )
         if self._middle is not None:
-            found = self._middle.shift(np.asarray(moved)[self._place])
+            found, deformed = self._middle.shift_and_deformation(np.asarray(moved)[self._place], fit)
             if found.ok or found.status == "ambiguous":
-                return found
+                return found, deformed
+            return self._beyond_the_middle(np.asarray(moved), fit)
         matcher, pattern, defects, mosaic = self._looked_at(moved)
         for name, values, given, found in (
             ("reference", matcher, self._raw, self._defects), ("moved", pattern, moved, defects)
@@ -136,36 +146,56 @@ class Correlator:
                 continue
             if found.any and deviation(np.asarray(given, dtype=float)) is not None:
                 message = f"all contrast of the {name} image is in what stands out of it like a defect: {found}"
-                return no_shift("not significant", message, self._window)
+                return no_shift("not significant", message, self._window), None
             message = f"the {name} image is constant, there is no pattern to follow"
-            return no_shift("no contrast", message, self._window)
-        found = matcher.shift(pattern, self._valid(defects))
-        return _noted(found, self._defects.shared(defects), self._mosaic or mosaic)
+            return no_shift("no contrast", message, self._window), None
+        found = matcher.shift(pattern, self._valid(defects), self._alone)
+        measured = found.ok and not math.isnan(found.u_px + found.v_px)
+        deformed = matcher.deformation(pattern, found, fit) if fit != "shift" and measured else None
+        return _noted(found, self._defects.shared(defects), self._mosaic or mosaic), deformed
 
-    def deformation(self, moved: np.ndarray, shift: Shift, fit: str) -> Deformation | None:
-        """How the window was turned and strained besides a shift that was measured; None where that is not to be had.
+    @cached_property
+    def _means(self) -> tuple[Correlator, np.ndarray, int]:
+        """A correlator for means of blocks of a large reference, these means and the blocks' side [px]."""
+        block = math.ceil(max(self.shape) / MIDDLE)
+        means = block_means(checked_image(self._raw, "reference image"), block)
+        mask = None if self._mask is None else block_means(self._mask, block) == 1.0
+        smoothing = None if self._asked is None else max(1.0, self._asked / block)
+        mask = mask if mask is None or mask.any() else None
+        return Correlator(means, mask=mask, smoothing=smoothing), means, block
 
-        fit: one of `deformation.FITS`.
-        """
-        if not shift.ok or math.isnan(shift.u_px) or math.isnan(shift.v_px):
-            return None
-        if self._middle is not None and shift.window == self._middle.window:
-            return self._middle.deformation(np.asarray(moved)[self._place], shift, fit)
-        matcher, pattern, _, _ = self._looked_at(moved)
-        return None if matcher is None or pattern is None else matcher.deformation(pattern, shift, fit)
+    def _beyond_the_middle(self, moved: np.ndarray, fit: str) -> tuple[Shift, Deformation | None]:
+        """Of a large image whose middle shows no shift: roughly in means of blocks, then where both show the same."""
+        correlator, means, block = self._means
+        found = correlator.shift(block_means(checked_image(moved, "moved image"), block))
+        if math.isnan(found.u_px + found.v_px):
+            message = f"of means of {block} x {block} px: {found.message}"
+            return no_shift(found.status, message, self.window, found.ncc, found.significance), None
+        rough = tuple(round(block * shift) for shift in (found.v_px, found.u_px))
+        side = max(MIDDLE, 4 * (self._window_asked or DEFAULT_WINDOW))
+        one, other = matching_pieces(self.shape, rough, side, means, block)
+        mask = None if self._mask is None else self._mask[one] & self._mask[other]
+        window = None if self._window_asked is None else min(self._window_asked, max(s.stop - s.start for s in one))
+        correlator = Correlator(self._raw[one], window, mask=mask, smoothing=self._asked)
+        found, deformed = correlator.shift_and_deformation(moved[other], fit)
+        v, u = rough
+        if deformed is not None:
+            deformed = replace(deformed, shift=(deformed.shift[0] + u, deformed.shift[1] + v))
+        return replace(found, u_px=found.u_px + u, v_px=found.v_px + v), deformed
 
     def _looked_at(self, moved: np.ndarray) -> tuple[Matcher | None, np.ndarray | None, Defects, bool]:
         """The reference's window and the moved pattern, None without one; what stood out; whether it was a mosaic."""
-        if self._image is None:
-            self._prepare()
         image, defects, mosaic = _cleaned(as_image(moved, "moved image"), self._mask, self._defects.usual)
-        smoothing = self._smoothing or _uneven(image)
-        return self._matcher(smoothing), _pattern(image, smoothing), defects, mosaic
+        pattern = deviation(image)
+        smoothing = self._smoothing or _smoothing_of(image, pattern)
+        if smoothing is not None:
+            pattern = deviation(flatten(image, smoothing))
+        return self._matcher(smoothing), pattern, defects, mosaic
 
     def _matcher(self, smoothing: float | None) -> Matcher | None:
         """The reference's window, of its pattern without what a smoothing takes off; None without a pattern."""
         if smoothing not in self._matchers:
-            pattern = _pattern(self._image, smoothing)
+            pattern = deviation(self._image if smoothing is None else flatten(self._image, smoothing))
             corner = tuple((n - w) // 2 for n, w in zip(self.shape, self._window))
             valid = self._valid(self._defects)
             self._matchers[smoothing] = None if pattern is None else Matcher(pattern, self._window, corner, valid)
@@ -201,13 +231,9 @@ def _cleaned(
     return (repaired(image, defects.mask) if defects.any else image), defects, gains is not None
 
 
-def _uneven(image: np.ndarray) -> float | None:
-    """The smoothing that takes off the light of an image, None where it is even."""
-    return None if is_evenly_lit(image) else smoothing_of(image)
-
-
-def _pattern(image: np.ndarray, smoothing: float | None) -> np.ndarray | None:
-    return deviation(image if smoothing is None else flatten(image, smoothing))
+def _smoothing_of(image: np.ndarray, pattern: np.ndarray | None) -> float | None:
+    """The smoothing that takes off the light of an image, None where it is even. pattern: the image's deviation."""
+    return None if pattern is None or has_even_light(pattern) else smoothing_of(image)
 
 
 def _noted(found: Shift, still: Defects, mosaic: bool) -> Shift:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import fft
 
 from ..errors import InputError
-from ..machine.cores import usable_cores
+from ..machine.cores import cores_for_transform
 
 FLAT = 1e-6
 """rms deviation, relative to the largest pixel, below which an image is constant: float32 rounding is 3e-8."""
@@ -55,11 +55,9 @@ def checked_image(image: np.ndarray, name: str = "image") -> np.ndarray:
 
 def deviation(image: np.ndarray) -> np.ndarray | None:
     """Finite float64 image minus its mean, divided by its rms deviation; None if the image is constant."""
-    if not np.any(image):
-        return None
     scaled = in_range(image)
     scaled -= scaled.mean()
-    rms = math.sqrt(float(np.mean(np.square(scaled))))
+    rms = math.sqrt(float(np.einsum("ij,ij->", scaled, scaled)) / scaled.size)
     if rms < FLAT:
         return None
     scaled /= rms
@@ -68,7 +66,7 @@ def deviation(image: np.ndarray) -> np.ndarray | None:
 
 def in_range(image: np.ndarray) -> np.ndarray:
     """A float64 image over the power of two next above its largest pixel: exact, and its squares stay in range."""
-    return np.ldexp(image, -math.frexp(float(np.max(np.abs(image))))[1])
+    return np.ldexp(image, -math.frexp(max(float(image.max()), -float(image.min())))[1])
 
 
 def autocovariance(intensity: np.ndarray) -> np.ndarray:
@@ -85,15 +83,16 @@ def autocovariance(intensity: np.ndarray) -> np.ndarray:
     if pattern is None:
         return np.full((2 * rows - 1, 2 * columns - 1), np.nan)
     padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in image.shape)
-    spectrum = fft.rfft2(pattern, padded, workers=usable_cores())
+    cores = cores_for_transform(*padded)
+    spectrum = fft.rfft2(pattern, padded, workers=cores)
     power = spectrum.real**2 + spectrum.imag**2
-    sums = fft.fftshift(fft.irfft2(power, padded, workers=usable_cores()))
-    middle_v, middle_u = padded[0] // 2, padded[1] // 2
-    sums = sums[middle_v - rows + 1 : middle_v + rows, middle_u - columns + 1 : middle_u + columns]
-    overlap_v = rows - np.abs(np.arange(1 - rows, rows))
+    sums = fft.irfft2(power, padded, workers=cores)
+    # Of a lag and of the one opposite the sums are the same: those of no negative lag along v say all.
+    sums = np.concatenate([sums[:rows, padded[1] - columns + 1 :], sums[:rows, :columns]], axis=1)
+    overlap_v = rows - np.arange(rows)
     overlap_u = columns - np.abs(np.arange(1 - columns, columns))
-    covariance = sums / (overlap_v[:, None] * overlap_u)
-    return covariance / covariance[rows - 1, columns - 1]
+    half = sums / (sums[0, columns - 1] / (rows * columns) * overlap_v[:, None] * overlap_u)
+    return np.concatenate([half[:0:-1, ::-1], half])
 
 
 def central_lobe(covariance: np.ndarray) -> tuple[int, int]:

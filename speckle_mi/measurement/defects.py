@@ -112,6 +112,11 @@ def _excess(image: np.ndarray, level: float, place: tuple[np.ndarray, np.ndarray
     return (image[place] - around) / (np.abs(around) + level)
 
 
+def _where(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places (v, u) at which an image is true: as `numpy.nonzero`, which takes longer."""
+    return np.divmod(np.flatnonzero(condition), condition.shape[1])
+
+
 def _usual(image: np.ndarray, level: float) -> Usual:
     place = np.divmod(np.arange(0, image.size, max(1, image.size // SAMPLES) | 1), image.shape[1])
     excess = [np.min([_excess(image, level, place, o) for o in _offsets(image, reach)], axis=0) for reach in (1, 2)]
@@ -165,7 +170,7 @@ def defects_of(image: np.ndarray, usual: Usual | None = None) -> Defects:
     if level <= 0.0 or max(image.shape) < 8:
         return Defects(pixels)
     usual = usual or _usual(image, level)
-    bright = np.nonzero(image > BRIGHT * level)
+    bright = _where(image > BRIGHT * level)
     found = [_outliers(image, level, bright, reach, excess) for reach, excess in zip((1, 2), usual.excess)]
     for place in (*found, _dead(image, level, usual.deficit)):
         pixels[place] = True
@@ -179,7 +184,7 @@ def _dead(image: np.ndarray, level: float, usual: float) -> tuple[np.ndarray, np
     """Places (v, u) of pixels below all of their neighbours by more than the texture explains."""
     offsets = _offsets(image, 1)
     least = _least(1, usual) * level
-    v, u = np.nonzero(image < DARK * level)
+    v, u = _where(image < DARK * level)
     for offset in offsets:
         kept = _neighbour(image, v, u, offset) - image[v, u] > least
         v, u = v[kept], u[kept]

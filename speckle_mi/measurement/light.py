@@ -94,8 +94,9 @@ def is_uneven(image: np.ndarray, size: float) -> bool:
     if rows * columns < 4:
         return False
     blocks = image[: rows * sides[0], : columns * sides[1]].reshape(rows, sides[0], columns, sides[1])
-    means = blocks.mean(axis=(1, 3))
-    within = float(np.square(blocks - means[:, None, :, None]).mean())
+    means = blocks.mean(axis=1).mean(axis=2)
+    apart = blocks - means[:, None, :, None]
+    within = float(np.einsum("ijkl,ijkl->", apart, apart)) / apart.size
     if within <= 0.0:
         return False
     speckles = math.prod(max(1.0, s / (1.06 * max(size, 1.0))) for s in sides if s > 1)

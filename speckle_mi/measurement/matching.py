@@ -105,18 +105,30 @@ class Matcher:
         """What stage 2 needs of the reference, made when it is first needed."""
         return Overlaps(self.reference), Texture(self.reference)
 
-    def shift(self, pattern: np.ndarray, valid: np.ndarray | None = None) -> Shift:
-        """Shift of ``pattern`` (rows, columns) from the reference; valid: False where it says nothing."""
+    def shift(self, pattern: np.ndarray, valid: np.ndarray | None = None, beyond: bool = True) -> Shift:
+        """Shift of ``pattern`` (rows, columns) from the reference; valid: False where it says nothing.
+
+        beyond: whether to look further than where the whole window still is, and for turns.
+        """
         if self.lit and self._much_is_masked(valid):
             return self._masked(pattern, valid)
-        found = self._near(pattern, valid) or self._far(pattern, valid)
-        return self._turned(pattern) or found if found.status == "not significant" and self.lit else found
+        found = self._near(pattern, valid)
+        if not beyond:
+            return found or no_shift("not significant", "the window is nowhere to be found", self.window)
+        found = found or self._far(pattern, valid)
+        # A pattern that was turned may have a peak as broad as one of what stands still.
+        if self.lit and found.status in ("not significant", "fixed pattern"):
+            return self._turned(pattern, found.significance) or found
+        return found
 
-    def _turned(self, pattern: np.ndarray) -> Shift | None:
-        """What there is to say of a pattern that is the reference's once it is turned back, None if it is not."""
+    def _turned(self, pattern: np.ndarray, before: float) -> Shift | None:
+        """What there is to say of a pattern that is the reference's once it is turned back, None if it is not.
+
+        before: its significance as it is, which must be less.
+        """
         for angle in turns(self.reference, pattern):
             found = self._near(turned_back(pattern, angle), None)
-            if found is not None and found.ok and found.significance > TURNED:
+            if found is not None and found.ok and found.significance > max(TURNED, before):
                 message = (
                     f"the pattern was turned by about {angle:.1f} deg, more than a window of {self.window[1]} x"
                     f" {self.window[0]} px can follow: take a smaller one, or turn the image back"
@@ -194,7 +206,8 @@ class Matcher:
     def _far(self, pattern: np.ndarray, valid: np.ndarray | None) -> Shift:
         """Stage 2: the whole images over their overlap, then a window placed on both patterns."""
         overlaps, texture = self._whole
-        peak = most_significant(overlaps.ncc(pattern), overlaps.pixels, texture)
+        surface = overlaps.ncc(pattern)
+        peak = most_significant(surface, overlaps.pixels, texture)
         middle = tuple(n - 1 for n in self.shape)
         if (most := float(texture.speckles(math.prod(self.shape)))) < FEWEST_SPECKLES:
             message = (
@@ -210,6 +223,10 @@ class Matcher:
             return no_shift("not significant", message, self.window, peak.ncc, peak.significance)
         if peak.rivals:
             return self._ambiguous(peak, middle)
+        peak, note = moving_peak(surface, peak, middle, texture)
+        pixels = round(float(overlaps.pixels[peak.place]))
+        if (reason := of_the_camera(surface, peak, middle, texture, pixels)) is not None:
+            return no_shift("fixed pattern", reason, self.window, peak.ncc, peak.significance)
         displacement = tuple(i - m for i, m in zip(peak.place, middle))
         share = overlaps.pixels[peak.place] / math.prod(self.shape)
         if share < LEAST_OVERLAP:
@@ -219,10 +236,10 @@ class Matcher:
             )
             return no_shift("left the detector", message, self.window, peak.ncc, peak.significance)
         least = least_significant(texture.speckles(math.prod(self.window)), overlaps.pixels.size / texture.area)
-        return self._symmetric(pattern, displacement, peak, float(least), valid)
+        return self._symmetric(pattern, displacement, peak, float(least), valid, note)
 
     def _symmetric(
-        self, pattern: np.ndarray, coarse: tuple[int, int], peak: Peak, least: float, valid: np.ndarray | None
+        self, pattern: np.ndarray, coarse: tuple[int, int], peak: Peak, least: float, valid, note: str = ""
     ) -> Shift:
         """Measure near the displacement ``coarse`` (v, u) with a template and its copy placed evenly about the middle.
 
@@ -244,7 +261,7 @@ class Matcher:
                     break
                 result = self._subset_of(start, size).find(pattern, displacement, np.array(local.offset), valid)
                 local = Peak(local.place, local.offset, local.ncc, peak.significance)
-                return self._found(local, displacement, size, result, "")
+                return self._found(local, displacement, size, result, note)
         return self._ambiguous(peak, None)
 
     def _around(

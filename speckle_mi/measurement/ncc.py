@@ -12,7 +12,7 @@ import math
 import numpy as np
 from scipy import fft
 
-from ..machine.cores import usable_cores
+from ..machine.cores import cores_for_transform
 
 CONSTANT = 1e-9
 """Variation of a piece of an image, relative to all of the image's, that is taken for rounding."""
@@ -36,17 +36,18 @@ class Template:
     def __init__(self, piece: np.ndarray, shape: tuple[int, int]) -> None:
         self.size, self.shape = piece.shape, shape
         self.padded = tuple(fft.next_fast_len(n, real=True) for n in shape)
+        self.cores = cores_for_transform(*self.padded)
         values = piece - piece.mean()
         self.norm = math.sqrt(float(np.sum(np.square(values))))
-        self.spectrum = fft.rfft2(values, self.padded, workers=usable_cores()).conj()
+        self.spectrum = fft.rfft2(values, self.padded, workers=self.cores).conj()
 
     def ncc(self, pattern: np.ndarray) -> np.ndarray:
         """Eq. (3) at every place (row, column) of the template's corner in ``pattern``; 0 where that is constant."""
         (rows, columns), (height, width) = self.shape, self.size
-        spectrum = fft.rfft2(pattern, self.padded, workers=usable_cores())
+        spectrum = fft.rfft2(pattern, self.padded, workers=self.cores)
         spectrum *= self.spectrum
         # Places that wrap around the padded image are exactly those cut off here.
-        products = fft.irfft2(spectrum, self.padded, workers=usable_cores(), overwrite_x=True)
+        products = fft.irfft2(spectrum, self.padded, workers=self.cores, overwrite_x=True)
         products = products[: rows - height + 1, : columns - width + 1]
         squares = np.square(pattern)
         energy = _box_sums(squares, self.size) - _box_sums(pattern, self.size) ** 2 / (height * width)
@@ -60,7 +61,8 @@ class Overlaps:
     def __init__(self, reference: np.ndarray) -> None:
         self.shape = reference.shape
         self.padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in self.shape)
-        self.spectrum = fft.rfft2(reference, self.padded, workers=usable_cores()).conj()
+        self.cores = cores_for_transform(*self.padded)
+        self.spectrum = fft.rfft2(reference, self.padded, workers=self.cores).conj()
         self.lags = [np.arange(1 - n, n) for n in self.shape]
         counts = [n - np.abs(lag) for n, lag in zip(self.shape, self.lags)]
         self.pixels = (counts[0][:, None] * counts[1]).astype(np.float64)
@@ -84,9 +86,9 @@ class Overlaps:
 
     def ncc(self, pattern: np.ndarray) -> np.ndarray:
         """NCC over the overlap, (2 rows - 1, 2 columns - 1), no displacement in the middle."""
-        spectrum = fft.rfft2(pattern, self.padded, workers=usable_cores())
+        spectrum = fft.rfft2(pattern, self.padded, workers=self.cores)
         spectrum *= self.spectrum
-        products = fft.irfft2(spectrum, self.padded, workers=usable_cores(), overwrite_x=True)
+        products = fft.irfft2(spectrum, self.padded, workers=self.cores, overwrite_x=True)
         # Negative lags wrap around, and so do negative indices.
         products = products[self.lags[0]][:, self.lags[1]]
         sums, energy = self._sums_and_energy(pattern, 1)

@@ -8,7 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from .covariance import autocovariance, central_lobe, without_noise
+from .covariance import LOBE_REACH, autocovariance, central_lobe, without_noise
 
 FALSE_ALARM = 1e-3
 """Probability that two unrelated patterns are given a shift; each of the two stages gets half."""
@@ -32,6 +32,12 @@ SPECKLE_KURTOSIS = 9.0
 """Fourth moment over squared variance of exponentially distributed intensity."""
 
 
+_TO_POWERS = {
+    n: np.linalg.inv(np.vander(np.arange(n) - n // 2.0, increasing=True)) for n in (1, 3, 2 * PATCH + 1)
+}
+"""What makes coefficients of a polynomial out of its values at so many places about the middle."""
+
+
 def _log_maximum(patch: np.ndarray) -> tuple[tuple[float, float], float] | None:
     """Offset (v, u) from the middle and height of the maximum of a patch of NCC values, or None.
 
@@ -41,8 +47,7 @@ def _log_maximum(patch: np.ndarray) -> tuple[tuple[float, float], float] | None:
     """
     if patch.min() <= 0.0:
         return None
-    nodes = [np.arange(n) - n // 2 for n in patch.shape]
-    to_powers = [np.linalg.inv(np.vander(x.astype(float), increasing=True)) for x in nodes]
+    to_powers = [_TO_POWERS[n] for n in patch.shape]
     coefficients = to_powers[0] @ np.log(patch) @ to_powers[1].T
     place = np.zeros(2)
     free = [axis for axis in (0, 1) if patch.shape[axis] > 1]
@@ -82,8 +87,8 @@ class Texture:
 
     area: integral of the squared normalised autocovariance over the central lobe [px^2], the area on which two
     patterns agree or disagree together. lobe: half extents (v, u) [px]. next: autocovariance of next neighbours without
-    noise. top: its height at zero lag over the curve through the other lags. repeats:
-    whether the pattern is like itself at some distance.
+    noise. top: its height at zero lag over the curve through the other lags. half: lags (v, u) [px] of about half of
+    its height, and fall: what it has fallen by there. repeats: whether the pattern is like itself at some distance.
     """
 
     def __init__(self, piece: np.ndarray) -> None:
@@ -96,6 +101,8 @@ class Texture:
         clean = without_noise(covariance)
         self.next = _next_neighbour(clean)
         self.top = height_over_neighbours(clean, tuple(n // 2 for n in clean.shape))
+        self.half = tuple(max(1, round(reach / LOBE_REACH)) for reach in self.lobe)
+        self.fall = fall_beside(clean, tuple(n // 2 for n in clean.shape), self.half)
         self.repeats = _repetition(covariance, self.lobe) >= REPEATING
         squares = np.square(piece - piece.mean())
         # A few bright pixels carry the contrast of an image whose kurtosis is above that of speckle.
@@ -125,6 +132,17 @@ def height_over_neighbours(surface: np.ndarray, place: tuple[int, int]) -> float
         line = surface[i - 3 : i + 4, place[1]] if axis == 0 else surface[place[0], i - 3 : i + 4]
         heights.append(float(line[3] - (15 * (line[2] + line[4]) - 6 * (line[1] + line[5]) + line[0] + line[6]) / 20))
     return min(heights, default=0.0)
+
+
+def fall_beside(surface: np.ndarray, place: tuple[int, int], lags: tuple[int, int]) -> float:
+    """Share of its height by which a surface has fallen at ``lags`` (v, u) from a place; NaN if that is all outside."""
+    beside = [
+        float(surface[tuple(i + side * lag * (a == axis) for a, i in enumerate(place))])
+        for axis, (n, lag) in enumerate(zip(surface.shape, lags))
+        for side in (-1, 1)
+        if 0 <= place[axis] + side * lag < n
+    ]
+    return 1.0 - float(np.mean(beside)) / float(surface[place]) if beside else math.nan
 
 
 def _repetition(covariance: np.ndarray, lobe: tuple[int, int]) -> float:

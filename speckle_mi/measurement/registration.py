@@ -14,6 +14,7 @@ photons, quantisation and decorrelation are all in the residual.
 
 from __future__ import annotations
 
+import math
 from copy import copy
 from dataclasses import dataclass
 
@@ -35,7 +36,11 @@ CELLS = 5
 """Places of a box, along each axis, at which its sum is taken."""
 
 CONVERGED, SHARE_OF_NOISE = 1e-8, 0.05
-"""The step that is the last [px], absolute and as a share of what white noise as large as the residual makes."""
+"""The next step that is not taken any more [px], absolute and as a share of what white noise of the residual's size
+makes."""
+
+MOST_TAKEN_OFF = 1.5
+"""Largest share by which Bartlett's weights are taken to have lessened a variance."""
 
 HALF_STENCIL = 5
 """Pixels on each side in the moved image's derivative, which sets the step and the uncertainty, not the result."""
@@ -96,8 +101,17 @@ def _stencil() -> np.ndarray:
 STENCIL = _stencil()
 
 
-def _derivative(values: np.ndarray, axis: int) -> np.ndarray:
-    return ndimage.correlate1d(values, STENCIL, axis, mode="nearest")
+def _derivative_transposed(values: np.ndarray, axis: int) -> np.ndarray:
+    """What the products of ``values`` with a derivative along ``axis`` are products of with the values derived.
+
+    The derivative is the stencil's, with an image continued as it ends at its edges.
+    """
+    around = [(HALF_STENCIL, HALF_STENCIL) if a == axis else (0, 0) for a in (0, 1)]
+    spread = ndimage.correlate1d(np.pad(values, around), -STENCIL, axis, mode="constant")
+    lead = np.moveaxis(spread, axis, 0)
+    lead[HALF_STENCIL] += lead[:HALF_STENCIL].sum(axis=0)
+    lead[-HALF_STENCIL - 1] += lead[-HALF_STENCIL:].sum(axis=0)
+    return np.moveaxis(lead[HALF_STENCIL:-HALF_STENCIL], 0, axis)
 
 
 class Subset:
@@ -130,7 +144,11 @@ class Subset:
         spectrum = self._spectrum(reference, (0, 0))
         self.values = self.centred(self._window(spectrum))
         self.energy = _dot(self.values, self.values)
-        self.gradients = [self.along(self._window(spectrum * (2j * np.pi * self.frequency[a]))) for a in self.axes]
+        self._set_gradients([self._window(spectrum * (2j * np.pi * self.frequency[a])) for a in self.axes])
+
+    def _set_gradients(self, gradients: list[np.ndarray]) -> None:
+        self.gradients = [self.along(g) for g in gradients]
+        self.gradients_derived = [[_derivative_transposed(g, a).copy() for a in self.axes] for g in self.gradients]
 
     def _kept(self, valid: np.ndarray | None, displacement: tuple[int, int]) -> np.ndarray | None:
         """Pixels of the window, displaced, that no masked pixel of an image reaches; None if that is all of them."""
@@ -188,7 +206,7 @@ class Subset:
             return self._restricted(kept).find(moved, displacement, start)
         spectrum = self._spectrum(moved, displacement)
         place = np.array(start, dtype=float)
-        inverse = None
+        inverse, last = None, 0.0
         for _ in range(ITERATIONS):
             values = self.centred(self._window(self._shifted(spectrum, place)))
             energy, product = _dot(values, values), _dot(values, self.values)
@@ -202,7 +220,10 @@ class Subset:
             place -= step
             if not np.abs(place - start).max() < FARTHEST:
                 return None
-            if np.abs(step).max() < max(CONVERGED, SHARE_OF_NOISE * self._noise(inverse, residual)):
+            before, last = last, np.abs(step).max()
+            # Steps shrink by about the same factor each: what the next one will be is known without taking it.
+            following = last * min(1.0, last / before) if before else last
+            if following < max(CONVERGED, SHARE_OF_NOISE * self._noise(inverse, residual)):
                 break
         covariance = np.full((2, 2), np.nan)
         covariance[np.ix_(self.axes, self.axes)] = inverse @ self._score_variance(values, product, energy) @ inverse.T
@@ -215,7 +236,7 @@ class Subset:
         other.kept = kept if self.kept is None else kept & self.kept
         other.values = other.centred(self.values)
         other.energy = _dot(other.values, other.values)
-        other.gradients = [other.along(g) for g in self.gradients]
+        other._set_gradients(self.gradients)
         return other
 
     def _inverse(self, values: np.ndarray) -> np.ndarray | None:
@@ -223,8 +244,7 @@ class Subset:
 
         With the moved image's gradient beside the reference's: what both share counts and not the noise of either.
         """
-        moved = [_derivative(values, axis) for axis in self.axes]
-        slope = np.array([[_dot(g, m) for m in moved] for g in self.gradients])
+        slope = np.array([[_dot(d, values) for d in derived] for derived in self.gradients_derived])
         if not np.linalg.eigvalsh(slope + slope.T).min() > 0.0:
             return None
         return np.linalg.inv(slope)
@@ -242,9 +262,12 @@ class Subset:
 
 def _cell_sums(values: np.ndarray, cell: int, axis: int) -> np.ndarray:
     """Sums over cells of so many pixels along an axis; the last one may be smaller."""
-    if cell == 1:
-        return values
-    return np.add.reduceat(values, np.arange(0, values.shape[axis], cell), axis)
+    lead = np.moveaxis(values, axis, 0)
+    sums = np.copy(lead[::cell])  # in the order in which the values lie
+    for start in range(1, cell):
+        part = lead[start::cell]
+        sums[: len(part)] += part
+    return np.moveaxis(sums, 0, axis)
 
 
 def _running_sums(values: np.ndarray, count: int, axis: int) -> np.ndarray:
@@ -259,20 +282,32 @@ def _running_sums(values: np.ndarray, count: int, axis: int) -> np.ndarray:
 def score_variance(gradients: list[np.ndarray], residual: np.ndarray, reach: tuple[int, int]) -> np.ndarray:
     """Covariance (n, n) of the sums of n gradients (rows, columns) times a residual that is correlated over ``reach``.
 
-    Of the sums over boxes that overlap, which are Bartlett's weights of the lags.
+    Of the sums over boxes that overlap, which are Bartlett's weights of the lags, times what those take off a
+    correlation within the reach: as much as weights that are flat up to half of it have more, on the mean of the
+    gradients (D. N. Politis and J. P. Romano, DOI 10.1111/j.1467-9892.1995.tb00223.x). They alone scatter too much.
     """
     box = tuple(min(2 * r + 1, max(w // 3, 1)) for r, w in zip(reach, residual.shape))
     cell = tuple(max(1, round(side / CELLS)) for side in box)
     count = tuple(max(1, round(side / c)) for side, c in zip(box, cell))
-    box = tuple(n * c for n, c in zip(count, cell))
-    sums = []
+    half = tuple((n + 1) // 2 for n in count)
+    sums, flat = [], []
     for gradient in gradients:
         score = gradient * residual
         for axis, c in enumerate(cell):  # of both axes first, so that boxes slide over few numbers
             score = _cell_sums(score, c, axis)
-        for axis, n in enumerate(count):
-            score = _running_sums(score, n, axis)
-        sums.append(score)
+        along = {n: _running_sums(score, n, 0) for n in {count[0], half[0]}}
+        boxes = {(m, n): _running_sums(along[m], n, 1) for m in along for n in {count[1], half[1]}}
+        sums.append(boxes[count])
+        flat.append(_flat(count, half, {size: _dot(b, b) / math.prod(size) for size, b in boxes.items()}))
+    covariance = np.array([[_dot(a, b) for b in sums] for a in sums]) / math.prod(count)
+    variance = np.diag(covariance)
+    taken_off = float(np.mean(np.divide(flat, variance, out=np.ones(len(flat)), where=variance > 0.0)))
     # The whole sum is zero where the iteration ends, which takes this share of the variance away.
-    left = 1.0 - np.prod(box) / np.prod(residual.shape)
-    return np.array([[_dot(a, b) for b in sums] for a in sums]) / (np.prod(count) * left)
+    left = 1.0 - math.prod(count) * math.prod(cell) / math.prod(residual.shape)
+    return covariance * (min(max(taken_off, 1.0), MOST_TAKEN_OFF) / left)
+
+
+def _flat(count: tuple[int, int], half: tuple[int, int], bartlett: dict[tuple[int, int], float]) -> float:
+    """Variance with weights that are flat up to ``half`` and 0 from ``count`` on, of those that fall off at once."""
+    weights = [{n: 1.0} if n == h else {n: n / (n - h), h: h / (h - n)} for n, h in zip(count, half)]
+    return sum(a * b * bartlett[m, n] for m, a in weights[0].items() for n, b in weights[1].items())

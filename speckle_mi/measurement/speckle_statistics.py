@@ -42,14 +42,12 @@ def centre_of_gravity(image: np.ndarray) -> tuple[float, float]:
     return float(columns_light @ u) / total, float(rows_light @ v) / total
 
 
-def _neighbours_size(image: np.ndarray) -> float:
+def _neighbours_size(pattern: np.ndarray) -> float:
     """Speckle size [px] that the covariances at 1 and 2 px alone tell: quick, too large under an envelope.
 
-    Of a Gaussian lobe their ratio tells the size whatever the noise of the pixels.
+    pattern: (rows, columns) of mean 0 and rms deviation 1. Of a Gaussian lobe their ratio tells the size whatever the
+    noise of the pixels.
     """
-    pattern = deviation(image)
-    if pattern is None:
-        return math.nan
     # Every fourth line says enough.
     lines = [np.moveaxis(pattern, axis, 0)[:, ::4] for axis in (0, 1) if pattern.shape[axis] > 2]
     if not lines:
@@ -62,7 +60,13 @@ def _neighbours_size(image: np.ndarray) -> float:
 
 def is_evenly_lit(image: np.ndarray) -> bool:
     """Whether the mean of a finite image (rows, columns) is the same everywhere, as far as its speckles tell."""
-    return not is_uneven(image, _neighbours_size(image))
+    pattern = deviation(image)
+    return pattern is None or has_even_light(pattern)
+
+
+def has_even_light(pattern: np.ndarray) -> bool:
+    """`is_evenly_lit` of an image (rows, columns) that was brought to mean 0 and rms deviation 1."""
+    return not is_uneven(pattern, _neighbours_size(pattern))
 
 
 def _speckle(image: np.ndarray) -> np.ndarray:
@@ -90,20 +94,7 @@ def contrast(intensity: np.ndarray) -> float:
     intensity: (rows, columns). Under uneven light the local contrast. NaN for an image without light. Raises
     InputError for pixels that are not finite.
     """
-    image = in_range(as_image(intensity, "intensity"))
-    if not image.mean() > 0.0:
-        return math.nan
-    image = _speckle(image)
-    return float(np.nanstd(image)) / float(np.nanmean(image))
-
-
-def _speckle_covariance(intensity: np.ndarray) -> np.ndarray:
-    """Autocovariance of an image's speckle, without noise and envelope."""
-    image = as_image(intensity, "intensity")
-    if not np.any(image):
-        return autocovariance(image)
-    image = middle(_speckle(in_range(image)), LARGEST_PIECE)
-    return without_noise(autocovariance(np.where(np.isnan(image), np.nanmean(image), image)))
+    return _contrast(_speckle_of(intensity))
 
 
 def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
@@ -113,7 +104,29 @@ def speckle_size(intensity: np.ndarray) -> tuple[float, float]:
     slope of brightness would pass for a speckle) and for a constant image. Raises InputError for pixels that are
     not finite.
     """
-    covariance = _speckle_covariance(intensity)
+    return _size(_speckle_of(intensity))
+
+
+def contrast_and_size(intensity: np.ndarray) -> tuple[float, tuple[float, float]]:
+    """`contrast` and `speckle_size` of one image (rows, columns), for little more than the price of one."""
+    speckle = _speckle_of(intensity)
+    return _contrast(speckle), _size(speckle)
+
+
+def _speckle_of(intensity: np.ndarray) -> np.ndarray:
+    """An image's speckle as `_speckle` leaves it. Raises InputError for pixels that are not finite."""
+    image = as_image(intensity, "intensity")
+    return _speckle(in_range(image)) if np.any(image) else image
+
+
+def _contrast(speckle: np.ndarray) -> float:
+    mean = float(np.nanmean(speckle))
+    return float(np.nanstd(speckle)) / mean if mean > 0.0 else math.nan
+
+
+def _size(speckle: np.ndarray) -> tuple[float, float]:
+    speckle = middle(speckle, LARGEST_PIECE)
+    covariance = without_noise(autocovariance(np.where(np.isnan(speckle), np.nanmean(speckle), speckle)))
     rows, columns = (covariance.shape[0] + 1) // 2, (covariance.shape[1] + 1) // 2
     u = 2.0 * half_width(covariance[rows - 1, columns - 1 :])
     v = 2.0 * half_width(covariance[rows - 1 :, columns - 1])
