@@ -17,6 +17,7 @@ from functools import partial
 
 import numpy as np
 
+from .launch import MAXIMUM_STEP, launch_state, newton_step, transverse, turned
 from .sequence import Sequence
 from .surface import dot
 from .trace import Caustics, Log, RayStatus, march, paired_rows, tube_at_end
@@ -31,10 +32,8 @@ NEWTON_GOAL = 1e-7
 PLANE_TOLERANCE = 1e-6
 """Distance [mm] that a target may lie off the last plane by rounding; also corrected for."""
 
-MAXIMUM_STEP = 0.3
-"""Largest change of the launch direction [rad] in one Newton step."""
-
-MAXIMUM_ITERATIONS = 40
+MAXIMUM_ITERATIONS, MOST_WORSE = 40, 6
+"""Of Newton's method; and of shorter and shorter steps, each a quarter, that bring a ray no closer: it is at a fold."""
 
 CONTRACTION, CONTRACTING_ITERATIONS = 0.5, 12
 """Largest ratio of a Newton step to the one before with which the iteration is trusted to end at the root next to its
@@ -91,8 +90,12 @@ class AimedPaths:
         return self.amplitude * np.array([1.0, -1.0j, -1.0, 1.0j])[self.caustics % 4]
 
 
-def aim(sequence: Sequence, sources: np.ndarray, targets: np.ndarray) -> AimedPaths:
+def aim(
+    sequence: Sequence, sources: np.ndarray, targets: np.ndarray, near: np.ndarray | None = None
+) -> AimedPaths:
     """Rays from ``sources`` (n, 3) through ``targets`` (n, 3) on the last surface of ``sequence``, world [mm].
+
+    near: (n, 3) launch directions of known rays close by, whose branch is then taken, in a tenth of the time.
 
     Where several rays reach a target (near a focus), one inside all outlines is taken before the others, and then the
     one that leaves closest to the first vertex.
@@ -108,6 +111,10 @@ def aim(sequence: Sequence, sources: np.ndarray, targets: np.ndarray) -> AimedPa
     if sources.shape[0] == 0:
         return _evaluate(sequence, sources, targets, np.empty((3, 0)))
     source, target = sources.T, targets.T
+    if near is not None:
+        found = _evaluate(sequence, sources, targets, _contract(sequence, source, target, near.T))
+        if np.all(found.converged):
+            return found
     chief = _chief_ray(sequence, source.mean(axis=1, keepdims=True), target.mean(axis=1, keepdims=True))
     if chief is None:
         return _evaluate(sequence, sources, targets, _search(sequence, source, target))
@@ -211,7 +218,7 @@ def _fan(source: np.ndarray, target: np.ndarray, axis: np.ndarray, angles: np.nd
     straight = np.where(np.any(straight != 0.0, axis=0), straight, axis)
     straight = straight / np.sqrt(dot(straight, straight))
     polar, azimuth = (mesh.reshape(-1, 1) for mesh in np.meshgrid(angles, np.arange(8) * (np.pi / 4)))
-    e1, e2 = (e[:, None] for e in _transverse(axis))
+    e1, e2 = (e[:, None] for e in transverse(axis))
     cones = np.cos(polar) * axis[:, None] + np.sin(polar) * (np.cos(azimuth) * e1 + np.sin(azimuth) * e2)
     return np.concatenate([axis, straight, cones.reshape(3, -1)], axis=1)
 
@@ -222,7 +229,7 @@ def _follow(
     """World points (3, n) on the last plane, status (n,) and number of caustics (n,)."""
     log, caustics = Log(source.shape[1]), Caustics(source.shape[1])
     with np.errstate(invalid="ignore", divide="ignore"):
-        for step in march(sequence, _launch_state(source, direction, *_transverse(direction)), tubes=True):
+        for step in march(sequence, launch_state(source, direction, *transverse(direction)), tubes=True):
             log.add(step)
             caustics.add(step)
     return sequence.last.surface.frame.to_world(step.state[:, 0].T).T, log.status, caustics.count
@@ -230,7 +237,7 @@ def _follow(
 
 def _linear_start(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Launch directions (3, n) from the ray map linearised about the chief ray, no symmetry assumed."""
-    e1, e2 = _transverse(chief.direction)
+    e1, e2 = transverse(chief.direction)
     state = np.zeros((3, 12, 1))
     state[:, 0], state[:, 1] = chief.source, chief.direction
     state[:, 2:5, 0] = np.eye(3)
@@ -243,7 +250,7 @@ def _linear_start(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, targ
     # Regularised: where source and target are conjugate the direction is undetermined, and zero is the best guess.
     angles = np.linalg.lstsq(by_direction, wanted, rcond=1e-3)[0]
     angles *= np.minimum(1.0, MAXIMUM_STEP / np.maximum(np.hypot(*angles), MAXIMUM_STEP))
-    return _turned(chief.direction, e1, e2, angles)
+    return turned(chief.direction, e1, e2, angles)
 
 
 def _newton(sequence: Sequence, source: np.ndarray, target: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -256,26 +263,27 @@ def _newton(sequence: Sequence, source: np.ndarray, target: np.ndarray, start: n
     active = np.arange(start.shape[1])
     direction, trial = start.copy(), start.copy()
     miss = np.full(active.size, np.inf)
-    step = np.zeros((2, active.size))
+    step, worse = np.zeros((2, active.size)), np.zeros(active.size, dtype=int)
     for _ in range(MAXIMUM_ITERATIONS):
-        e1, e2 = _transverse(trial)
-        for last in march(sequence, _launch_state(source[:, active], trial, e1, e2)):
+        e1, e2 = transverse(trial)
+        for last in march(sequence, launch_state(source[:, active], trial, e1, e2)):
             pass
         residual = aim_xy[:, active] - last.state[:2, 0]
         trial_miss = np.hypot(*residual)
         better = trial_miss < miss
-        newton_step = _solve(last.state[:2, 2], last.state[:2, 3], residual)
+        onward = newton_step(last.state[:2, 2], last.state[:2, 3], residual)
         done = better & (trial_miss < NEWTON_GOAL)
-        result[:, active[done]] = _turned(trial, e1, e2, newton_step)[:, done]
+        result[:, active[done]] = turned(trial, e1, e2, onward)[:, done]
         # A step belongs to the transverse frame of the direction it starts from: the trial if accepted, else the old.
         direction = np.where(better, trial, direction)
-        step = np.where(better, newton_step, 0.25 * step)
-        miss = np.where(better, trial_miss, miss)
-        keep = ~done & np.isfinite(miss)
+        step = np.where(better, onward, 0.25 * step)
+        miss, worse = np.where(better, trial_miss, miss), np.where(better, 0, worse + 1)
+        keep = ~done & np.isfinite(miss) & (worse < MOST_WORSE)
         if not keep.any():
             break
-        active, direction, step, miss = active[keep], direction[:, keep], step[:, keep], miss[keep]
-        trial = _turned(direction, *_transverse(direction), step)
+        active, direction, step = active[keep], direction[:, keep], step[:, keep]
+        miss, worse = miss[keep], worse[keep]
+        trial = turned(direction, *transverse(direction), step)
     return result
 
 
@@ -286,14 +294,14 @@ def _contract(sequence: Sequence, source: np.ndarray, target: np.ndarray, start:
     active, direction = np.arange(start.shape[1]), start
     longest = np.full(active.size, np.inf)
     for _ in range(CONTRACTING_ITERATIONS):
-        e1, e2 = _transverse(direction)
-        for last in march(sequence, _launch_state(source[:, active], direction, e1, e2)):
+        e1, e2 = transverse(direction)
+        for last in march(sequence, launch_state(source[:, active], direction, e1, e2)):
             pass
         residual = aim_xy[:, active] - last.state[:2, 0]
-        miss, step = np.hypot(*residual), _solve(last.state[:2, 2], last.state[:2, 3], residual)
+        miss, step = np.hypot(*residual), newton_step(last.state[:2, 2], last.state[:2, 3], residual)
         length = np.hypot(*step)
         contracts = np.isfinite(miss) & (length <= longest)
-        direction = _turned(direction, e1, e2, step)
+        direction = turned(direction, e1, e2, step)
         done = contracts & (miss < NEWTON_GOAL)
         result[:, active[done]] = direction[:, done]
         keep = contracts & ~done
@@ -334,7 +342,7 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
     n = sources.shape[0]
     log, caustics, length = Log(n), Caustics(n), np.zeros(n)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for step in march(sequence, _launch_state(sources.T, direction, *_transverse(direction)), tubes=True):
+        for step in march(sequence, launch_state(sources.T, direction, *transverse(direction)), tubes=True):
             log.add(step)
             caustics.add(step)
             length += np.abs(step.length)
@@ -359,42 +367,3 @@ def _evaluate(sequence: Sequence, sources: np.ndarray, targets: np.ndarray, dire
             margins=log.stacked_margins() + lost,
             status=status,
         )
-
-
-def _launch_state(source: np.ndarray, direction: np.ndarray, e1: np.ndarray, e2: np.ndarray) -> np.ndarray:
-    """Rays with tangents along two orthonormal launch angles: their Jacobian is per solid angle."""
-    zero = np.zeros_like(source)
-    return np.stack([source, direction, zero, zero, e1, e2], axis=1)
-
-
-def _transverse(direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors (3, n) that make an orthonormal frame with unit ``direction`` (3, n).
-
-    T. Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017.
-    """
-    x, y, z = direction
-    sign = np.copysign(1.0, z)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return np.stack([1.0 + sign * x * x * a, sign * b, -sign * x]), np.stack([b, sign + y * y * a, -y])
-
-
-def _turned(direction: np.ndarray, e1: np.ndarray, e2: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """``direction`` (3, n) turned by small ``angles`` (2, n) towards e1, e2; unit."""
-    with np.errstate(invalid="ignore", over="ignore"):  # of rays that are lost
-        turned = direction + angles[0] * e1 + angles[1] * e2
-        return turned / np.sqrt(dot(turned, turned))
-
-
-def _solve(first: np.ndarray, second: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Newton step (2, n) [rad], at most ``MAXIMUM_STEP`` long; ``first``, ``second`` (2, n): the Jacobian's columns."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        determinant = first[0] * second[1] - first[1] * second[0]
-        step = np.stack(
-            [residual[0] * second[1] - residual[1] * second[0], first[0] * residual[1] - first[1] * residual[0]]
-        )
-        step /= determinant
-        # On a caustic the Jacobian is singular: no step, rather than a meaningless one.
-        step = np.where(np.isfinite(step), step, 0.0)
-        norm = np.hypot(*step)
-        return np.where(norm > MAXIMUM_STEP, step * (MAXIMUM_STEP / norm), step)

@@ -21,11 +21,12 @@ from ..optics.trace import RayStatus, trace
 from ..propagation.opening_quadrature import estimated_nodes
 from .cost import expected_scatterers, rim_seconds
 from .fresnel import edge_wave, fresnel_distance, fresnel_parameter
+from .gradients import phase_gradient
 from .legs import leg, straight_on
-from .places import FINE, detector_places, hole_places
+from .places import detector_places, hole_places
 from .relay import Relayed, with_windows
 from .setup import Setup
-from .way import Channel, PhaseGradient, Rim
+from .way import Channel, Rim
 
 CUTS = 1.5
 """Fresnel parameter of the nearest ray below which a rim cuts into the light: no share of its wave says how much."""
@@ -36,9 +37,10 @@ SHARE = 0.3
 AFFORDABLE_NODES, AFFORDABLE_SECONDS = 200_000, 2.0
 """Nodes, or seconds along its edge, up to which a rim that only touches the light is diffracted at."""
 
+CERTAINLY_TOO_MANY = 10 * AFFORDABLE_NODES
+"""Nodes by the bend of the light alone from which on no closer look is needed."""
+
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
-_GRADIENT_SAFETY = 1.05
-"""Factor on the sampled phase gradient, for what lies between the samples."""
 
 _RIM_POINTS = 48
 _INSIDE_RIM = 1 - 1e-6
@@ -54,11 +56,15 @@ _STEP = 1e-2
 
 @dataclass(frozen=True)
 class EdgeWave:
-    """Of a rim: v, smallest Fresnel parameter, negative where rays lie outside; wave on the detector over the field."""
+    """Of a rim: v, smallest Fresnel parameter, negative where rays lie outside; wave on the detector over the field.
+
+    steepness: at least, of the light's phase over the rim's plane [rad/mm].
+    """
 
     rim: Rim
     v: float
     wave: float
+    steepness: float = 0.0
 
 
 def chosen_edges(
@@ -71,17 +77,28 @@ def chosen_edges(
     openings = list(first)
     unaffordable: set[int] = set()
     alone: Rim | None = None
+    light: dict[tuple, _Light] = {}
+    known: dict[tuple, EdgeWave] = {}
+
+    def wave(rim: Rim, before: Rim | None, after: Rim | None) -> EdgeWave:
+        if (before, after) not in light:
+            light[before, after] = _light_between(channel, before, after, spots)
+        if (rim, before, after) not in known:
+            known[rim, before, after] = _edge_wave(setup, channel, rim, before, after, light[before, after], spots)
+        return known[rim, before, after]
+
     while True:
         relayed = with_windows(setup, channel, sorted(openings, key=lambda rim: rim.position), spots)
         chosen = list(relayed.openings)
         rest = [rim for rim in channel.rims if rim.number not in {one.number for one in chosen}]
         waves = [_between_rims(setup, channel, rim, twin) if (twin := _twin(chosen, rim)) is not None
-                 else _edge_wave(setup, channel, rim, *_neighbours(chosen, rim), spots) for rim in rest]  # fmt: skip
+                 else wave(rim, *_neighbours(chosen, rim)) for rim in rest]  # fmt: skip
         wanted = [one for one in waves if _counts(setup, one) and one.rim.number not in unaffordable]
         if not wanted:
             return relayed, tuple(waves)
         nearest = min(wanted, key=lambda one: one.v)
-        if nearest.v < CUTS or _is_affordable(setup, channel, nearest.rim, chosen, spots):
+        too_steep = estimated_nodes(nearest.rim.plane.outline, nearest.steepness) > CERTAINLY_TOO_MANY
+        if nearest.v < CUTS or (not too_steep and _is_affordable(setup, channel, nearest.rim, chosen, spots)):
             if alone is not None:  # it could be afforded only as long as there was no other
                 openings.remove(alone)
                 unaffordable.add(alone.number)
@@ -133,66 +150,6 @@ def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
         shares.append(np.mean(free))
     order = np.argsort(shares, kind="stable")[::-1]
     return [channel.rims[k] for k in order if shares[k] > _LIMITING_SHARE]
-
-
-def phase_gradients(channel: Channel, spots: np.ndarray, wavelength: float) -> tuple[PhaseGradient, ...]:
-    """Bounds on the phase gradient over every opening of a channel, for light from places on the spot (n, 3).
-
-    Raises InputError, naming the opening, where no ray leads over one.
-    """
-    found = []
-    for number, rim in enumerate(channel.openings):
-        before = channel.openings[number - 1] if number > 0 else None
-        after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
-        sources = spots if before is None else hole_places(before.plane, *FINE)
-        targets = detector_places(channel.grid) if after is None else hole_places(after.plane, *FINE)
-        try:
-            found.append(phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY))
-        except InputError as error:
-            raise InputError(f"opening {rim.name!r}: {error}") from None
-    return tuple(found)
-
-
-def phase_gradient(
-    channel: Channel,
-    rim: Rim,
-    before: Rim | None,
-    after: Rim | None,
-    sources: np.ndarray,
-    targets: np.ndarray,
-    wavelength: float,
-    safety: float,
-) -> PhaseGradient:
-    """Bound on the phase gradient over a rim of all light from sources (n, 3) to targets (m, 3).
-
-    before, after: openings that these lie on, None for the spot and the detector; safety: factor on what is sampled.
-    Raises InputError where no ray leads over the rim.
-    """
-    samples = hole_places(rim.plane, *FINE)
-    (leading, middle), (trailing, end) = leg(channel, before, rim), leg(channel, rim, after)
-    coming = aim(Sequence((*leading, middle)), *reversed(all_pairs(samples, sources)))
-    going = aim(Sequence((*trailing, end)), *all_pairs(samples, targets))
-    tangents = rim.plane.frame.axes[:, :2]
-    k = 2 * np.pi * rim.index / wavelength
-    arriving = k * (coming.arrival @ tangents).reshape(len(samples), -1, 1, 2)
-    leaving = k * (going.launch @ tangents).reshape(len(samples), 1, -1, 2)
-    gradient = (arriving - leaving).reshape(len(samples), -1, 2)
-    if not np.isfinite(gradient).any():
-        raise InputError("no ray leads over it from the spot to the detector")
-    outline = rim.plane.outline
-    if not isinstance(outline, Circle):
-        bound = safety * np.nanmax(np.abs(gradient), axis=(0, 1))
-        return PhaseGradient((float(bound[0]), float(bound[1])))
-    local = rim.plane.frame.to_local(samples)[:, :2]
-    radius = np.hypot(*local.T)
-    with np.errstate(invalid="ignore"):
-        length = np.fmax.reduce(np.hypot(gradient[..., 0], gradient[..., 1]), axis=1, initial=0.0)
-        around = np.stack([-local[:, 1], local[:, 0]], axis=1) / np.maximum(radius, 1e-300)[:, None]
-        azimuthal = np.fmax.reduce(np.abs(np.einsum("snk,sk->sn", gradient, around)), axis=1, initial=0.0)
-    tilt = max(float(length[radius == 0].max()), float(azimuthal.max()))
-    largest = float(length.max())
-    grows_evenly = np.all(length <= (tilt + (largest - tilt) * radius / outline.radius) * safety + 1e-9)
-    return PhaseGradient(safety * largest, safety * tilt if grows_evenly else None)
 
 
 def _counts(setup: Setup, one: EdgeWave) -> bool:
@@ -247,8 +204,26 @@ def _ends(channel: Channel, rim: Rim | None, spots: np.ndarray | None) -> np.nda
     return detector_places(channel.grid) if spots is None else spots
 
 
+@dataclass(frozen=True)
+class _Light:
+    """Rays from places on one opening, or the spot, to places on the next, or the detector: (n, 3) each."""
+
+    starts: np.ndarray
+    ends: np.ndarray
+    launch: np.ndarray
+
+
+def _light_between(channel: Channel, before: Rim | None, after: Rim | None, spots: np.ndarray) -> _Light:
+    """The rays that there are from one opening to the next, without the rims between them."""
+    starts, ends = all_pairs(_ends(channel, before, spots), _ends(channel, after, None))
+    faces, end = leg(channel, before, after)
+    aimed = aim(Sequence((*faces, end)), starts, ends)
+    good = aimed.converged
+    return _Light(starts[good], ends[good], aimed.launch[good])
+
+
 def _edge_wave(
-    setup: Setup, channel: Channel, rim: Rim, before: Rim | None, after: Rim | None, spots: np.ndarray
+    setup: Setup, channel: Channel, rim: Rim, before: Rim | None, after: Rim | None, light: _Light, spots: np.ndarray
 ) -> EdgeWave:
     """How far the light from one neighbour to the next keeps from a rim, and how strong its wave is on the detector."""
     sources, targets = _ends(channel, before, spots), _ends(channel, after, None)
@@ -259,18 +234,17 @@ def _edge_wave(
             and np.abs(rim.plane.frame.to_local(places)[:, 2]).max() < _IN_PLANE
         ):
             return EdgeWave(rim, np.inf, 0.0)
-    starts, ends = all_pairs(sources, targets)
-    aimed = aim(Sequence((*leading, *trailing, end)), starts, ends)
-    good = aimed.converged
-    if not np.any(good):
+    starts, ends, launch = light.starts, light.ends, light.launch
+    if not len(starts):
         return EdgeWave(rim, np.inf, 0.0)  # no light between these two comes over it
-    starts, ends, launch = starts[good], ends[good], aimed.launch[good]
-    hits = trace(Sequence((*leading, rim.end, *trailing, end)), starts, launch).points[len(leading)]
+    points = trace(Sequence((*leading, rim.end, *trailing, end)), starts, launch).points
+    hits = points[len(leading)]
     x, y, _ = rim.plane.frame.to_local(hits).T
     outline = rim.plane.outline
     nearest = int(np.nanargmin(outline.clearance(x, y)))
     one = slice(nearest, nearest + 1)
-    curvature = _curvature(rim, leading, trailing, end, starts[one], ends[one], hits[one])
+    on = points[len(leading) :, one]
+    curvature = _curvature(rim, leading, trailing, end, starts[one], ends[one], on, launch[one])
     scale = np.sqrt(2 * curvature / setup.assembly.beam.wavelength)
     v = float(outline.clearance(x, y)[nearest] * scale)
     if v <= 0:
@@ -278,7 +252,8 @@ def _edge_wave(
     waves = _waves(outline, x, y, scale, setup.assembly.beam.wavenumber * curvature)
     wave = float(np.sqrt(np.mean(np.minimum(waves, 1.0) ** 2)))
     passed = _share_coming(setup, channel, rim, before, spots) * _share_going_on(setup, channel, rim, after)
-    return EdgeWave(rim, v, wave * passed)
+    steepness = setup.assembly.beam.wavenumber * curvature * (outline.reach + float(np.nanmax(np.hypot(x, y))))
+    return EdgeWave(rim, v, wave * passed, steepness)
 
 
 def _lies_in(rim: Rim, interaction: Interaction) -> bool:
@@ -342,20 +317,28 @@ def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None)
     return float(edge_wave(fresnel_parameter(aside, length, setup.assembly.beam.wavelength)))
 
 
-def _curvature(rim: Rim, leading, trailing, end, source: np.ndarray, target: np.ndarray, hit: np.ndarray) -> float:
-    """Smallest curvature [1/mm] of the path source - point of the rim's plane - target around the ray's own point."""
+def _curvature(
+    rim: Rim, leading, trailing, end, source: np.ndarray, target: np.ndarray, points: np.ndarray, launch: np.ndarray
+) -> float:
+    """Smallest curvature [1/mm] of the path source - point of the rim's plane - target around the ray's own point.
+
+    points: (s, 1, 3) of the ray from the rim's plane on; launch: (1, 3) from the source.
+    """
+    hit = points[0]
     frame = rim.plane.frame
     middle = frame.to_world(frame.to_local(hit) * [1, 1, 0])
     step = _STEP * min(rim.plane.outline.half_size)
     offsets = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step
     places = middle + offsets[:, :1] * frame.axes[:, 0] + offsets[:, 1:] * frame.axes[:, 1]
-    length = aim(Sequence((*leading, rim.end)), np.broadcast_to(source, places.shape), places).optical_path_length
-    length = length + aim(Sequence((*trailing, end)), places, np.broadcast_to(target, places.shape)).optical_path_length
+    onward = (points[1] - hit) / np.maximum(np.linalg.norm(points[1] - hit), 1e-300)
+    source, target, launch, onward = (np.broadcast_to(one, places.shape) for one in (source, target, launch, onward))
+    length = aim(Sequence((*leading, rim.end)), source, places, launch).optical_path_length
+    length = length + aim(Sequence((*trailing, end)), places, target, onward).optical_path_length
     second = [(length[k] + length[k + 1] - 2 * length[0]) / step**2 for k in (1, 3)]
     if np.all(np.isfinite(second)):
         return float(np.min(np.abs(second)))
     # Where what lies close by lets no ray through aside, the nearer of the two ends tells how waves spread.
-    return float(1 / max(np.linalg.norm(hit - source), 1e-12) + 1 / max(np.linalg.norm(target - hit), 1e-12))
+    return float(1 / max(np.linalg.norm(hit - source[0]), 1e-12) + 1 / max(np.linalg.norm(target[0] - hit), 1e-12))
 
 
 def _rim_points(rim: Rim, count: int) -> np.ndarray:

@@ -21,8 +21,9 @@ from ..optics.unfold import unfold
 from ..propagation.coherent_sum import CERTAINTY
 from .setup import Setup
 from ..scene.errors import SceneError
-from .edges import SHARE, all_affordable, chosen_edges, limiting_rims, phase_gradients
+from .edges import SHARE, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
+from .gradients import phase_gradients
 from .places import points_on
 from .relay import NEAR_CAUSTIC
 from .routes import Route, find_routes

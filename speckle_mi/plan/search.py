@@ -22,6 +22,7 @@ from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings
 from .places import axes_along, on_face, on_pixels, on_plane, with_places
+from .sight import SPREAD, in_sight
 from .unfolding import launch_over_planes
 
 MAX_INTERACTIONS = 32
@@ -44,11 +45,6 @@ _ACROSS = 7
 
 _AIMED = 3
 """Rounds in which the middle of a narrow way is closed in on."""
-
-_SPREAD = np.array(
-    [[0, 0], [0.7, 0], [-0.7, 0], [0, 0.7], [0, -0.7], [0.5, 0.5], [-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5]]
-)
-"""Places on a face, in half sizes, that are aimed at."""
 
 Step = tuple[int, int, str, str]
 """(element, face, action, root) of an interaction."""
@@ -291,40 +287,49 @@ class Search:
 
     def _aim_from(self, sequence: _Sequence) -> None:
         """Aims at everything that the rays of a sequence have not met by themselves."""
-        if not sequence.starts or sequence.inside != AIR:
-            return
-        elements = self._meetings.elements
+        if not sequence.starts or not sequence.steps or sequence.inside != AIR:
+            return  # from the start itself rays have gone to every face
+        elements, seen = self._meetings.elements, self._seen_from(sequence)
         arrived = {end for steps, end, _ in self._arrived if steps == sequence.steps}
-        if None not in arrived:
-            self._aim_at(sequence, detector_plane(self._grid).surface, on_pixels(self._grid, _SPREAD))
+        if None not in arrived and None in seen:
+            self._aim_at(sequence, detector_plane(self._grid).surface, on_pixels(self._grid, SPREAD))
         for number, element in enumerate(elements):
-            if element.kind == "opening" and number not in arrived and (number, 0) != sequence.left:
+            if element.kind == "opening" and number not in arrived and (number, 0) in seen - {sequence.left}:
                 face = element.faces[0]
-                self._aim_at(sequence, face, on_face(face, False, _SPREAD))
+                self._aim_at(sequence, face, on_face(face, False, SPREAD))
         for number, element in enumerate(elements):
             for place, face in enumerate(element.faces if element.kind in ("mirror", "glass") else ()):
-                if (number, place) not in sequence.met and (number, place) != sequence.left:
+                if (number, place) in seen - sequence.met - {sequence.left}:
                     self._aim_at(sequence, *self._plane_at(sequence, face, element.closed))
+
+    def _seen_from(self, sequence: _Sequence) -> set[tuple[int, int] | None]:
+        """What is in sight of the face that light over a sequence comes from, where its rays leave it or elsewhere."""
+        number, face = sequence.left
+        last = self._meetings.elements[number].faces[face]
+        hits = trace(Sequence(sequence.interactions), *self._rays_of(sequence)).points[-1]
+        hits = hits[np.all(np.isfinite(hits), axis=1)][:: max(1, len(hits) // len(SPREAD))]
+        points = np.concatenate([hits, on_face(last, self._meetings.elements[number].closed, SPREAD)])
+        return in_sight(self._meetings, points, sequence.left)
 
     def _plane_at(self, sequence: _Sequence, face: Surface, closed: bool) -> tuple[Surface, np.ndarray]:
         """A plane through a face, and places on it that are aimed at."""
         if face.is_plane:
-            return face, on_face(face, False, _SPREAD)
+            return face, on_face(face, False, SPREAD)
         if not closed:
             sag = float(face.sag(np.array((0.7 * face.outline.reach) ** 2)))
             plane = Surface(Frame(face.frame.origin + sag * face.frame.axes[:, 2], face.frame.axes))
-            return plane, on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), _SPREAD, face.outline.centre)
+            return plane, on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), SPREAD, face.outline.centre)
         radius = 1 / abs(face.curvature)
         centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
         last = sequence.interactions[-1].place if sequence.interactions else sequence.starts[0][0]
         axis = (centre - last) / max(np.linalg.norm(centre - last), 1e-300)
         plane = Surface(Frame(centre, axes_along(axis)))
-        return plane, on_plane(plane.frame, 0.9 * np.array([radius, radius]), _SPREAD, (0.0, 0.0))
+        return plane, on_plane(plane.frame, 0.9 * np.array([radius, radius]), SPREAD, (0.0, 0.0))
 
     def _aim_at(self, sequence: _Sequence, plane: Surface, targets: np.ndarray) -> None:
         """Follows the rays over a sequence that are aimed at targets (k, 3) in a plane, closing in on a narrow way."""
-        if not sequence.steps or not self._may_reach(sequence, targets):
-            return  # from the start itself rays have gone to every face
+        if not self._may_reach(sequence, targets):
+            return
         frame = plane.frame
         centre, spread = targets[0], targets - targets[0]
         for round_ in range(_AIMED):
