@@ -100,7 +100,7 @@ class Meetings:
     def _glass(self, met: Met, origin, direction, inside: int, left) -> None:
         """Inside a glass its own faces come first, then openings that it encloses, and the detector."""
         for face in range(len(self.elements[inside].faces)):
-            self._face(met, origin, direction, inside, face, left)
+            self._face(met, origin, direction, inside, face, left, outside=False)
         for number, element in enumerate(self.elements):
             if element.kind == "opening":
                 self._opening(met, origin, direction, number, left, strictly=True)
@@ -113,7 +113,7 @@ class Meetings:
         for number, element in enumerate(self.elements):
             if element.kind in ("mirror", "glass"):
                 for face in range(len(element.faces)):
-                    self._face(met, origin, direction, number, face, left)
+                    self._face(met, origin, direction, number, face, left, outside=True)
             if _has_wall(element) and (left is None or left[0] != number):
                 distance = _wall_crossing(element, origin, direction)
                 self._take(met, distance, Thing(WALL, number))
@@ -132,13 +132,18 @@ class Meetings:
         met.thing[nearer] = self._index[thing]
         met.root[nearer] = np.broadcast_to(root, nearer.shape)[nearer]
 
-    def _face(self, met: Met, origin, direction, number: int, face: int, left) -> None:
+    def _face(self, met: Met, origin, direction, number: int, face: int, left, outside: bool) -> None:
         element = self.elements[number]
         surface = element.faces[face]
         lengths = _crossings(surface, element.closed, origin, direction)
         least = COINCIDENT if left == (number, face) else -COINCIDENT
+        leaving = np.zeros(len(origin), dtype=bool)
+        if outside and element.kind == "glass" and not element.closed:
+            # From a stop that lies on a glass light goes away from it, or into it, whatever the rounding of nothing.
+            leaving = direction @ _inward(element, face) <= 0
         for root in range(len(lengths)):
-            distance = np.where(lengths[root] > least, lengths[root], np.inf)  # NaN is not larger
+            ahead = lengths[root] > np.where(leaving, COINCIDENT, least)  # NaN is not larger
+            distance = np.where(ahead, lengths[root], np.inf)
             self._take(met, distance, Thing(FACE, number, face), root)
 
     def _opening(self, met: Met, origin, direction, number: int, left, strictly: bool) -> None:
@@ -237,6 +242,13 @@ def _same_surface(one: Surface, other: Surface) -> bool:
         return True
     same_form = abs(one.curvature - np.sign(cosine) * other.curvature) * reach**2 / 2 < COINCIDENT
     return same_form and abs(one.conic - other.conic) < COINCIDENT and np.linalg.norm(offset) < COINCIDENT
+
+
+def _inward(element: Element, face: int) -> np.ndarray:
+    """(3,) along a face's axis into the glass, which lies between its faces."""
+    axis = element.faces[face].frame.axes[:, 2]
+    middle = np.mean([one.frame.origin for one in element.faces], axis=0)
+    return axis if (middle - element.faces[face].frame.origin) @ axis > 0 else -axis
 
 
 def _has_wall(element: Element) -> bool:
