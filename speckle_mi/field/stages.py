@@ -29,7 +29,7 @@ from ..plan.shadows import (
     shadowed_sum,
     shapes_beside_way,
 )
-from ..plan.stage import RAYS, SUM, Stage
+from ..plan.stage import BESIDE_WINDOW, RAYS, SUM, Stage
 from ..plan.way import Channel, Rim, without_rims
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
 from ..propagation.edge_integral import edge_sum
@@ -50,6 +50,9 @@ _FEW_PAIRS = 300_000
 
 _DIM_SHARE = 0.5
 """By how much more of itself the error of a sum counts for every further opening."""
+
+_RING = 0.1
+"""Outer part of a window's radius on which is looked how strong the light is that passes it by."""
 
 _QUADRATURE_SHARE, _QUADRATURE_SAFETY = 1e-5, 100.0
 """Part of the tolerance to which the integral over an opening is resolved: it converges fast, and costs little; and by
@@ -101,6 +104,8 @@ def channel_field(
             values, results = result.field, [(result.how, result.numerical_error)]
         stages += _sums((rim.name,), results, began, nodes.size)
         sources, weights = nodes.points(), values * areas
+        if rim.whole is not None:
+            stages.append(Stage(BESIDE_WINDOW, (rim.name,), error=_beside_window(rim, nodes, values, areas)))
         opening = (rim.normal, rim.index)
     began = time.perf_counter()
     path = _path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
@@ -111,6 +116,19 @@ def channel_field(
     stages += _sums(("the detector",), [(result.how, result.numerical_error)], began)
     uncertain = _QUADRATURE_SAFETY * quadrature * np.sqrt(len(channel.openings))
     return _channel_field(channel, values, stages, uncertain)
+
+
+def _beside_window(rim: Rim, nodes: PlanePoints, values: np.ndarray, areas: np.ndarray) -> float:
+    """Amplitude of the light that passes a window by, relative to that within it.
+
+    From the values (n,) at the nodes beside the window's edge: light that an edge has thrown there falls off in
+    amplitude as r^(-3/2) at most, as far as the rim that the window is a part of.
+    """
+    distance, radius = np.hypot(nodes.a, nodes.b), rim.plane.outline.radius
+    power, ring = np.abs(values) ** 2, distance > (1 - _RING) * radius
+    at_edge = float(np.average(power[ring], weights=areas[ring]))
+    beyond = 2 * np.pi * radius**2 * at_edge * max(1 - radius / rim.whole, 0.0)
+    return float(np.sqrt(beyond / max(float(power @ areas), 1e-300)))
 
 
 def _along_edge(setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, rim: Rim) -> ChannelField:

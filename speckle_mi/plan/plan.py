@@ -266,7 +266,7 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
     stages = [Stage(DIFFRACTED, diffracting)] if diffracting else []
     if relayed.windows:
         names = tuple(rim.name for rim in relayed.windows)
-        stages.append(Stage(RELAYED, names, predicted_error=CERTAINTY * relayed.error))
+        stages.append(Stage(RELAYED, names))
     left = max(waves, key=lambda one: one.wave, default=None)
     if left is not None and left.wave > 0:
         total = min(1.0, CERTAINTY * float(np.sqrt(sum(one.wave**2 for one in waves))))

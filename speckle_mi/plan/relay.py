@@ -18,7 +18,7 @@ from ..geometry.pairs import all_pairs
 from ..optics.aim import aim
 from ..optics.sequence import Sequence
 from ..optics.surface import Surface
-from .fresnel import edge_wave, fresnel_distance
+from .fresnel import fresnel_distance
 from .legs import leg, leg_limits, straight_on
 from .places import detector_places, hole_places
 from .setup import Setup
@@ -36,19 +36,17 @@ _RINGS = (0.0, 0.5, 1.0), 8
 
 @dataclass(frozen=True)
 class Relayed:
-    """openings: with the windows among them, in order; windows: these alone; error: what they leave out, relative to
-    the field.
-    """
+    """openings: with the windows among them, in order; windows: these alone."""
 
     openings: tuple[Rim, ...]
     windows: tuple[Rim, ...]
-    error: float
 
 
 def window_parameter(tolerance: float) -> float:
     """Fresnel parameter v at which a window ends beside the straight light.
 
-    It leaves out what the opening's edge throws there and its own edge throws back, (1/(pi sqrt(2) v))^2 of the field.
+    There the wave of an opening's edge has fallen to the root of the tolerance. What passes the window by all the same
+    is measured when the light has been summed on it: that of a small opening is spread far.
     """
     return float(np.clip(1 / (np.pi * np.sqrt(2 * tolerance)), NARROWEST, WIDEST))
 
@@ -65,8 +63,7 @@ def with_windows(setup: Setup, channel: Channel, openings: list[Rim], spots: np.
             break
         windows.append(window)
         found = sorted([*found, window], key=lambda rim: rim.position)
-    v = window_parameter(setup.assembly.options.tolerance)
-    return Relayed(tuple(found), tuple(windows), len(windows) * edge_wave(v) ** 2)
+    return Relayed(tuple(found), tuple(windows))
 
 
 def _needed(setup: Setup, channel: Channel, openings: list[Rim], spots: np.ndarray) -> Rim | None:
@@ -116,4 +113,5 @@ def _window(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots:
     if radius + np.hypot(*middle) >= min(rim.plane.outline.half_size):
         return rim
     centre = rim.plane.frame.to_world(np.array([[*middle, 0.0]]))[0]
-    return replace(rim, plane=Surface(Frame(centre, rim.plane.frame.axes), outline=Circle(radius)))
+    plane = Surface(Frame(centre, rim.plane.frame.axes), outline=Circle(radius))
+    return replace(rim, plane=plane, whole=min(rim.plane.outline.half_size))

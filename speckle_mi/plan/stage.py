@@ -18,6 +18,7 @@ CLEAR = "clear"
 SHADOWS = "geometric shadows"
 LEFT_OUT = "left out"
 RELAYED = "relayed"
+BESIDE_WINDOW = "beside a window"
 CUT = "cut"
 OTHER_WAY = "other way"
 NO_WAY = "no way"
@@ -113,6 +114,8 @@ def in_words(stage: Stage) -> str:
             )
         case "relayed":
             return f"relayed: summed on a window at {named} first, as an image of an opening lies near the detector"
+        case "beside a window":
+            return f"left out: light that passes the window at {named} by (about {stage.error:.1e} of the field)"
         case "cut":
             return (
                 f"{quoted} cuts a part of the light: geometric shadow; "

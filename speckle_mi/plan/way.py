@@ -30,7 +30,8 @@ class Rim:
     name: element; plane: the plane of the rim with its outline; number: of the interaction whose outline it is;
     position: number of interactions before the plane; index: of the medium there; is_screen: whether it is an aperture
     or a mirror's edge rather than a lens's; normal: (3,) of the plane, on the side that light goes on to;
-    slack: how far behind the curved surface beside it the plane may lie for rays outside the rim [mm].
+    slack: how far behind the curved surface beside it the plane may lie for rays outside the rim [mm]; whole: of a
+    round window that stands in the way of nothing, the radius of the rim that it is a part of [mm].
     """
 
     name: str
@@ -41,6 +42,7 @@ class Rim:
     is_screen: bool
     normal: np.ndarray
     slack: float = 0.0
+    whole: float | None = None
 
     @property
     def end(self) -> Interaction:
