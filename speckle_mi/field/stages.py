@@ -30,6 +30,7 @@ from ..plan.shadows import (
 )
 from ..plan.stage import RAYS, SUM, Stage
 from ..plan.way import Channel, Rim, without_rims
+from ..propagation.area import points_at
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
 from ..propagation.opening_quadrature import TIGHTEST, opening_nodes
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
@@ -79,26 +80,19 @@ def channel_field(
     stages: list[Stage] = []
     for number, rim in enumerate(channel.openings):
         began = time.perf_counter()
-        gradient = channel.gradients[number]
-        try:
-            nodes, areas = opening_nodes(rim.plane.outline, rim.plane.frame, gradient.bound, quadrature, gradient.tilt)
-        except InputError as error:
-            raise SceneError(
-                f"opening {rim.name!r}: {error}; "
-                "put a smaller stop, or set diffraction to false where there is no focus"
-            ) from None
-        path = _path(channel, number, rim.end, opening, wavelength)
+        nodes, areas = nodes_on(channel, number, quadrature)
+        path = leg_path(channel, number, rim.end, opening, wavelength)
         if number == 0:
-            values, results = _on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe)
+            values, results = on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe)
         else:
-            result = _summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
+            result = summed(channel, path, sources, weights, nodes, wavelength, options.method, tolerance)
             values, results = result.field, [(result.how, result.numerical_error)]
         stages += _sums((rim.name,), results, began, nodes.size)
         sources, weights = nodes.points(), values * areas
         opening = (rim.normal, rim.index)
     began = time.perf_counter()
-    path = _path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
-    result = _summed(channel, path, sources, weights, grid, wavelength, options.method, tolerance)
+    path = leg_path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
+    result = summed(channel, path, sources, weights, grid, wavelength, options.method, tolerance)
     values = result.field.reshape(grid.shape)
     if channel.hidden is not None:
         _require_dark(channel, values)
@@ -107,33 +101,59 @@ def channel_field(
     return _channel_field(channel, values, stages, uncertain)
 
 
+def nodes_on(channel: Channel, number: int, quadrature: float) -> tuple[PlanePoints, np.ndarray]:
+    """Nodes on an opening of the channel and their weights (q,) [mm^2], see ``opening_nodes``; SceneError if too many.
+
+    quadrature: error of an integral over the opening.
+    """
+    rim, gradient = channel.openings[number], channel.gradients[number]
+    try:
+        return opening_nodes(rim.plane.outline, rim.plane.frame, gradient.bound, quadrature, gradient.tilt)
+    except InputError as error:
+        raise SceneError(
+            f"opening {rim.name!r}: {error}; "
+            "put a smaller stop, or set diffraction to false where there is no focus"
+        ) from None
+
+
 def _without_openings(
     setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, lobe: Lobe | None
 ) -> ChannelField:
     """The field of a channel whose light is diffracted nowhere, with its shadows."""
-    assembly, began = setup.assembly, time.perf_counter()
-    path = _path(channel, 0, detector_plane(channel.grid), None, assembly.beam.wavelength)
+    began = time.perf_counter()
+    path = leg_path(channel, 0, detector_plane(channel.grid), None, setup.assembly.beam.wavelength)
+    values, results, share = on_detector(setup, channel, path, scatterers, grid, lobe)
+    stages = _sums(("the detector",), results, began, share=share)
+    return _channel_field(channel, values, stages)
+
+
+def on_detector(
+    setup: Setup, channel: Channel, path, scatterers: Scatterers, grid: PlaneGrid | PlanePoints, lobe: Lobe | None
+) -> tuple[np.ndarray, list[tuple[How, float]], float | None]:
+    """The field on the detector of a channel without openings, how each sum was done, and the share in shadow, if any.
+
+    path: to the detector's plane; grid: all of its pixels, or centres of some of them (the field is then (m,)).
+    """
+    assembly = setup.assembly
     clear = is_clear(setup, channel, scatterers.position, setup.frame.axes)
     how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance
     results, share = [], None
 
     def radiated(weights: np.ndarray) -> np.ndarray:
         nonlocal share
-        result = _summed(channel, path, scatterers.position, weights, grid, *how)
-        field, error = result.field.reshape(grid.shape), result.numerical_error
+        result = summed(channel, path, scatterers.position, weights, grid, *how)
+        field, error = result.field, result.numerical_error
         if not clear:
             field, share, shared = _shadowed_field(setup, channel, path, scatterers.position, weights, grid, field)
             error = float(np.hypot(error, shared))
         results.append((result.how, error))
         return field
 
-    terms = _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe)
-    values = _sum_of_terms(terms, scatterers, grid, radiated)
-    stages = _sums(("the detector",), results, began, share=share)
-    return _channel_field(channel, values, stages)
+    terms = _lobe_terms(setup, scatterers, channel, None, detector_places(channel.grid), lobe)
+    return _sum_of_terms(terms, scatterers, grid, radiated), results, share
 
 
-def _on_first_opening(
+def on_first_opening(
     setup: Setup, channel: Channel, rim: Rim, path, scatterers: Scatterers, nodes: PlanePoints, tolerance: float,
     lobe: Lobe | None,
 ) -> tuple[np.ndarray, list[tuple[How, float]]]:  # fmt: skip
@@ -143,7 +163,7 @@ def _on_first_opening(
     shadowed = has_shadow(channel, rim, sources, setup.frame.axes)
 
     def radiated(weights: np.ndarray) -> np.ndarray:
-        result = _summed(channel, path, sources, weights, nodes, *how)
+        result = summed(channel, path, sources, weights, nodes, *how)
         field, error = result.field, result.numerical_error
         if shadowed:
             field, shared = _with_shadows_on(nodes, channel, rim, path, sources, weights, field, *how)
@@ -211,7 +231,7 @@ def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage], qu
     return ChannelField(values, tuple(replace(stage, way=channel.route.label) for stage in stages), error)
 
 
-def _summed(channel: Channel, path, *arguments) -> SumResult:
+def summed(channel: Channel, path, *arguments) -> SumResult:
     """The coherent sum; where a traced path finds no ray, SceneError that says on which way and what to do."""
     try:
         return coherent_sum(path, *arguments)
@@ -255,7 +275,7 @@ def ray_channel(
     return ChannelField(amplitude_of(channel.interactions) * values, (stage,), math.nan), warnings
 
 
-def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):
+def leg_path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):
     """What leads from point set ``number`` of the channel to the next, which lies in the plane ``end``."""
     between = channel.leg(number)
     if between and channel.openings:
@@ -286,7 +306,7 @@ def _with_shadows_on(
 
     def sum_over(group: np.ndarray, seen: np.ndarray) -> np.ndarray:
         places = replace(nodes, a=nodes.a[seen], b=nodes.b[seen])
-        return _summed(channel, path, sources[group], weights[group], places, *how).field
+        return summed(channel, path, sources[group], weights[group], places, *how).field
 
     field, _, error = shadowed_sum(
         sources, lambda places, _: lit_nodes(channel, rim, places, points), sum_over, whole, SHADOWS_ON_OPENING
@@ -295,11 +315,18 @@ def _with_shadows_on(
 
 
 def _shadowed_field(
-    setup: Setup, channel: Channel, path, sources: np.ndarray, weights: np.ndarray, grid: PlaneGrid, whole: np.ndarray
+    setup: Setup,
+    channel: Channel,
+    path,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    grid: PlaneGrid | PlanePoints,
+    whole: np.ndarray,
 ) -> tuple[np.ndarray, float, float]:
     """Geometric field with all shadows, each scatterer's (or patch of the spot's) at its own place.
 
-    whole: (rows, columns) the field without them. Returns the share of pixels in shadow and the error of sharing, too.
+    whole: of the grid's shape, the field without them. Returns the share of pixels in shadow and the error of sharing,
+    too.
     """
     how = setup.assembly.beam.wavelength, setup.assembly.options.method, setup.assembly.options.tolerance
     pixels = grid.points()
@@ -309,13 +336,22 @@ def _shadowed_field(
             return reference_sum(
                 path, sources[group], weights[group], pixels[seen.ravel()], setup.assembly.beam.wavelength
             )
-        rows, columns = np.nonzero(seen)
-        places = PlanePoints(grid.origin, grid.u, grid.v, grid.pitch * columns, grid.pitch * rows)
-        return _summed(channel, path, sources[group], weights[group], places, *how).field
+        places = points_at(grid, np.flatnonzero(seen))
+        return summed(channel, path, sources[group], weights[group], places, *how).field
+
+    def lit(places: np.ndarray, only: np.ndarray | None):
+        if isinstance(grid, PlaneGrid):
+            return lit_pixels(setup, channel, places, grid, only)
+        pixel = channel.grid.index_of(grid)
+        chosen = None
+        if only is not None:
+            chosen = np.zeros(channel.grid.shape, dtype=bool)
+            chosen.flat[pixel[only]] = True
+        return (seen.flat[pixel] for seen in lit_pixels(setup, channel, places, channel.grid, chosen))
 
     return shadowed_sum(
         sources,
-        lambda places, only: lit_pixels(setup, channel, places, grid, only),
+        lit,
         sum_over,
         whole,
         SHADOWS_ON_DETECTOR,
