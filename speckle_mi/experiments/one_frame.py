@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import stats
 
+from ..field.derivatives import LOOSEST
 from ..field.simulation import Simulation
 from ..geometry.plane import PlaneGrid
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
@@ -29,7 +30,7 @@ SAMPLE_SEED = 11
 """Of the pixels' places: they are the same for every surface."""
 
 RANGE = 0.2
-"""Width of the range of displacements [mm or deg] for which scatter is stated: a sweep's own default."""
+"""Width of the range of displacements [mm or deg] for which scatter is stated unless asked otherwise: a sweep's own."""
 
 ONE_SURFACE = "one surface: the interval is from its own speckles and leaves out what they share"
 CENTRE_BY_SWEEP = "a sweep measures the centre of gravity: that of one frame is lost in its speckle"
@@ -111,24 +112,33 @@ def sampled_pixels(grid: PlaneGrid, count: int) -> np.ndarray:
 class OneFrameSensitivity:
     """What one frame a surface tells of a sensor.
 
-    fits: for every motion and axis the sensitivity, its scatter over ``RANGE``; boiling: share of the change that is
-    not motion; decorrelation_length: displacement at which correlation falls to one half [mm or deg], by the Gaussian
-    law of the measured curvature; seen: the detector's axes as the target sees them; result: what it was made of.
+    fits: for every motion and axis the sensitivity, with its scatter, to first order, over a range of displacements;
+    scatter: standard deviation over surfaces of every sensitivity [mm/mm or mm/deg], NaN of one alone; boiling: share
+    of the change that is not motion; decorrelation_length: displacement at which correlation falls to one half [mm or
+    deg], by the Gaussian law of the measured curvature; seen: the detector's axes as the target sees them; result: what
+    it was made of.
     """
 
     fits: dict[str, dict[str, Sensitivity]]
+    scatter: dict[str, dict[str, float]]
     boiling: dict[str, float]
     decorrelation_length: dict[str, float]
     seen: SeenAxes
     result: OneFrameResult
 
 
-def sensitivity_of(simulation: Simulation, result: OneFrameResult, dofs: tuple[str, ...]) -> OneFrameSensitivity:
-    """Sensitivities to some of the six motions from what was measured, beside what theory expects."""
+def sensitivity_of(
+    simulation: Simulation, result: OneFrameResult, dofs: tuple[str, ...], width: float = RANGE
+) -> OneFrameSensitivity:
+    """Sensitivities to some of the six motions from what was measured, beside what theory expects.
+
+    width: of the range of evenly spread displacements [mm or deg] for which the scatter of shifts is stated.
+    """
+    tolerance = min(simulation.assembly.options.tolerance, LOOSEST)
     assembly, plan = simulation.assembly, simulation.plan(Pose())
     seen, expected = axes_as_seen(assembly, plan), expected_sensitivity(assembly, plan)
     fits: dict[str, dict[str, Sensitivity]] = {}
-    boiling, length = {}, {}
+    scatter, boiling, length = {}, {}, {}
     for dof in dofs:
         number = DEGREES_OF_FREEDOM.index(dof)
         scale = np.pi / 180 if is_rotation(dof) else 1.0
@@ -136,18 +146,21 @@ def sensitivity_of(simulation: Simulation, result: OneFrameResult, dofs: tuple[s
             _Values.of(velocities, number, scale, lambda values: on_all_axes(values, assembly, seen))
             for velocities in (result.linear, result.curved)
         )
-        fits[dof] = {}
+        size = np.hypot(*linear.values[:2].mean(axis=1))
+        fits[dof], scatter[dof] = {}, {}
         for row, axis in enumerate(AXES):
             theory = None if expected[axis] is None else float(expected[axis][number])
             unit = "mm/deg" if is_rotation(dof) else "mm/mm"
             if axis in CENTRE_AXES:
                 fits[dof][axis] = _not_measured(theory, unit)
             else:
-                fits[dof][axis] = _fit(linear.axis(row), curved.axis(row), theory, unit)
+                fit, spread = _fit(linear.axis(row), curved.axis(row), tolerance * size, theory, unit)
+                fits[dof][axis] = replace(fit, scatter_um=1e3 * spread * width / np.sqrt(12))
+                scatter[dof][axis] = spread
         curvature = np.mean([one.curvature[number] for one in result.curved]) * scale**2
         boiling[dof] = float(np.mean([one.boiling[number] for one in result.curved]))
         length[dof] = float(half_correlation(curvature))
-    return OneFrameSensitivity(fits, boiling, length, seen, result)
+    return OneFrameSensitivity(fits, scatter, boiling, length, seen, result)
 
 
 @dataclass(frozen=True)
@@ -183,16 +196,18 @@ class _Values:
         return self.values.size - 1 if self.values.size > 1 else self.blocks - 1
 
 
-def _fit(linear: _Values, curved: _Values, theory: float | None, unit: str) -> Sensitivity:
-    """The sensitivity in the middle of the detector.
+def _fit(
+    linear: _Values, curved: _Values, numerical: float, theory: float | None, unit: str
+) -> tuple[Sensitivity, float]:
+    """The sensitivity in the middle of the detector, and its standard deviation over surfaces.
 
     A velocity that is taken to be linear over the detector is known best, but is off by the mean of its curvature; one
     with curvature has up to twice the scatter. Taken is what has the smaller mean square error, and the part of the
-    curvature that the surfaces neither show nor exclude stays in the interval.
+    curvature that the surfaces neither show nor exclude stays in the interval, as does the fields' ``numerical`` error.
     """
-    shown = float(np.mean(curved.values - linear.values)) ** 2
-    excess = max(curved.variance_of_mean - linear.variance_of_mean, 0.0)
-    off = max(shown - excess, 0.0)
+    between = curved.values - linear.values
+    by_chance = between.var(ddof=1) / between.size if between.size > 1 else curved.variance[0] - linear.variance[0]
+    off = max(float(np.mean(between)) ** 2 - by_chance, 0.0)
     taken, error = linear, linear.variance_of_mean + off
     if error > curved.variance_of_mean:
         taken, error = curved, curved.variance_of_mean
@@ -201,13 +216,10 @@ def _fit(linear: _Values, curved: _Values, theory: float | None, unit: str) -> S
     if not np.isfinite(error):
         basis, note, half = "none", "one surface of few speckles has no interval", np.nan
     else:
-        half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, max(taken.freedom, 1)) * np.sqrt(error))
-    scatter = float(taken.values.std(ddof=1)) if count > 1 else np.nan
-    return Sensitivity(
-        value=value, ci95=(value - half, value + half), theory=theory,
-        scatter_um=1e3 * scatter * RANGE / np.sqrt(12), unit=unit, basis=basis,
-        frames_used=count, frames_dropped=0, note=note,
-    )  # fmt: skip
+        quantile = stats.t.ppf(0.5 + CONFIDENCE / 2, max(taken.freedom, 1))
+        half = float(np.hypot(quantile * np.sqrt(error), numerical))
+    fit = Sensitivity(value, (value - half, value + half), theory, np.nan, unit, basis, count, 0, note)
+    return fit, float(taken.values.std(ddof=1)) if count > 1 else np.nan
 
 
 def _not_measured(theory: float | None, unit: str) -> Sensitivity:
