@@ -32,6 +32,9 @@ SAMPLE_SEED = 11
 RANGE = 0.2
 """Width of the range of displacements [mm or deg] for which scatter is stated unless asked otherwise: a sweep's own."""
 
+CLEARLY = 3.0
+"""Standard errors from which a curvature of the velocity over the detector is taken to be there."""
+
 ONE_SURFACE = "one surface: the interval is from its own speckles and leaves out what they share"
 CENTRE_BY_SWEEP = "a sweep measures the centre of gravity: that of one frame is lost in its speckle"
 
@@ -202,15 +205,16 @@ def _fit(
     """The sensitivity in the middle of the detector, and its standard deviation over surfaces.
 
     A velocity that is taken to be linear over the detector is known best, but is off by the mean of its curvature; one
-    with curvature has up to twice the scatter. Taken is what has the smaller mean square error, and the part of the
-    curvature that the surfaces neither show nor exclude stays in the interval, as does the fields' ``numerical`` error.
+    with curvature has twice the scatter, and is taken where the surfaces show the curvature clearly. Else what they
+    neither show nor exclude of it stays in the interval, as does the fields' ``numerical`` error.
     """
     between = curved.values - linear.values
     by_chance = between.var(ddof=1) / between.size if between.size > 1 else curved.variance[0] - linear.variance[0]
-    off = max(float(np.mean(between)) ** 2 - by_chance, 0.0)
-    taken, error = linear, linear.variance_of_mean + off
-    if error > curved.variance_of_mean:
+    off = float(np.mean(between)) ** 2
+    if off > CLEARLY**2 * by_chance:
         taken, error = curved, curved.variance_of_mean
+    else:
+        taken, error = linear, linear.variance_of_mean + max(off - by_chance, 0.0)
     count, value = taken.values.size, float(taken.values.mean())
     basis, note = ("surfaces", "") if count > 1 else ("residuals", ONE_SURFACE)
     if not np.isfinite(error):

@@ -21,8 +21,9 @@ from ..plan.setup import Setup
 from ..plan.shadows import is_clear
 from ..plan.visibility import pixels_in_view
 from ..plan.way import Channel
+from ..propagation.carried import carried
 from ..propagation.free_space_rates import free_space_rates
-from ..propagation.paths import FreeSpace
+from ..propagation.paths import FreeSpace, RayleighSommerfeld
 from ..propagation.rates import STEP, RatePath, differentiable
 from ..scattering.rough_surface import Scatterers
 from . import lobe as radiation
@@ -171,16 +172,15 @@ def _over_openings(setup, scatterers: Scatterers, channel: Channel, places: Plan
         rates = replace(rates, values=rates.values * areas)
         sources, opening = nodes.points(), (rim.normal, rim.index)
     path = leg_path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
-    field = rates.values[0]
-    slow = _cheap(path, sources, places, wavelength)
+    if isinstance(path, RayleighSommerfeld):
+        found = carried(path, sources, rates.values, places, wavelength)
+        return replace(rates, values=found.values), found.along
     on_places = _carried(rates, channel, path, sources, places, how)
-    slopes = []
+    field, slow, slopes = rates.values[0], _cheap(path, sources, places, wavelength), []
     for axis in (places.u, places.v):
         rate = _along(axis, slow, sources, field, wavelength)
-        slopes.append(
-            summed(channel, rate, sources, field, places, *how).field
-            + rate.common(places.points()) * on_places.values[0]
-        )
+        slope = summed(channel, rate, sources, field, places, *how).field
+        slopes.append(slope + rate.common(places.points()) * on_places.values[0])
     return on_places, np.array(slopes)
 
 
