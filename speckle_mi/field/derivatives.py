@@ -18,13 +18,13 @@ from ..geometry.pose import DEGREES_OF_FREEDOM
 from ..optics.sequence import amplitude_of, detector_plane
 from ..plan.plan import Plan
 from ..plan.setup import Setup
-from ..plan.shadows import is_clear
+from ..plan.shadows import has_shadow, is_clear
 from ..plan.visibility import pixels_in_view
 from ..plan.way import Channel
 from ..propagation.carried import carried
 from ..propagation.free_space_rates import free_space_rates
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
-from ..propagation.rates import STEP, RatePath, differentiable
+from ..propagation.rates import STEP, RatePath, differentiable, gradient_at
 from ..scattering.rough_surface import Scatterers
 from . import lobe as radiation
 from .lobe import Lobe, LobeRate
@@ -116,7 +116,8 @@ def _without_openings(setup, scatterers: Scatterers, channel: Channel, places: P
     """_Rates at the places, and derivatives (2, m) along u and v, where the light is diffracted nowhere."""
     wavelength = setup.assembly.beam.wavelength
     path = leg_path(channel, 0, detector_plane(channel.grid), None, wavelength)
-    if _is_bare(setup, channel, path, scatterers, places.size, lobe):
+    alone = _few_pairs(path, scatterers, places.size, lobe)
+    if alone and is_clear(setup, channel, scatterers.position, setup.frame.axes):
         return _in_free_space(setup, scatterers, places)
 
     def field(path, lobe):
@@ -134,20 +135,18 @@ def _without_openings(setup, scatterers: Scatterers, channel: Channel, places: P
     return rates, np.array(slopes)
 
 
-def _is_bare(
-    setup: Setup, channel: Channel, path, scatterers: Scatterers, points: int, lobe: Lobe | None
-) -> bool:
-    """Whether the pass over all pairs in free space serves."""
-    few = isinstance(path, FreeSpace) and lobe is None and scatterers.count * points <= FEW_PAIRS
-    return few and is_clear(setup, channel, scatterers.position, setup.frame.axes)
+def _few_pairs(path, scatterers: Scatterers, points: int, lobe: Lobe | None) -> bool:
+    """Whether one pass over all pairs in free space serves, if nothing casts a shadow."""
+    return isinstance(path, FreeSpace) and lobe is None and scatterers.count * points <= FEW_PAIRS
 
 
 def _in_free_space(setup: Setup, scatterers: Scatterers, places: PlanePoints) -> tuple[_Rates, np.ndarray]:
     beam = setup.assembly.beam
     gradients = beam_gradients(beam, scatterers.position)
     found = free_space_rates(scatterers.position, scatterers.amplitude, gradients, places, beam.wavelength)
-    rows = [found.by_motion(motion.shift, motion.turn, motion.origin) for motion in _motions(setup)]
-    return _Rates(np.array([found.field, *rows]), np.zeros(6, complex)), found.along
+    rows = np.array([found.by_motion(motion.shift, motion.turn, motion.origin) for motion in _motions(setup)])
+    common = rows @ found.field.conj() / max(np.vdot(found.field, found.field).real, 1e-300)
+    return _Rates(np.array([found.field, *(rows - common[:, None] * found.field)]), common), found.along
 
 
 def beam_gradients(beam, points: np.ndarray) -> np.ndarray:
@@ -186,6 +185,9 @@ def _over_openings(setup, scatterers: Scatterers, channel: Channel, places: Plan
 
 def _on_first(setup, scatterers, channel, path, nodes, tolerance, lobe) -> _Rates:
     rim, wavelength = channel.openings[0], setup.assembly.beam.wavelength
+    alone = _few_pairs(path, scatterers, nodes.size, lobe)
+    if alone and not has_shadow(channel, rim, scatterers.position, setup.frame.axes):
+        return _in_free_space(setup, scatterers, nodes)[0]
     path = _cheap(path, scatterers.position, nodes, wavelength)
 
     def field(path, lobe):
@@ -207,10 +209,12 @@ def _at_first(setup: Setup, scatterers: Scatterers, path, target: PlanePoints, l
     beam, points = setup.assembly.beam, target.points()
     rows, constants = [field(path, lobe)], []
     middle = _middle(scatterers.position, scatterers.amplitude)
+    gradient = gradient_at(path, beam.wavelength, middle, points)
     for motion in _motions(setup):
         reach = float(np.linalg.norm(motion.velocity(scatterers.position), axis=1).max(initial=1e-3))
-        rate = RatePath(path, beam.wavelength, middle, motion.velocity, None, _lit(beam, motion, reach), reach)
-        common = rate.common(points)
+        light = _lit(beam, motion, reach)
+        rate = RatePath(path, beam.wavelength, middle, motion.velocity, None, light, reach)
+        common = motion.velocity(middle[None])[0] @ gradient + light(middle[None])[0]
         constants.append(common.mean())
         row = field(rate, lobe) + (common - constants[-1]) * rows[0]
         if lobe is not None:

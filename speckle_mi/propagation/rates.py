@@ -51,26 +51,38 @@ class RatePath:
     reach: float = 1.0
 
     def __call__(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        length, amplitude = self.path(sources, targets)
-        return length, amplitude * (self.rate(sources, targets, amplitude) - self.common(targets))
+        """V and A [R - R(P0)] (n, m) from sources (n, 3) to targets (m, 3)."""
+        length, amplitude, rate = self._rates(np.concatenate([sources, self.middle[None]]), targets)
+        return length[:-1], amplitude[:-1] * (rate[:-1] - rate[-1])
 
     def common(self, targets: np.ndarray) -> np.ndarray:
         """R(P0, D), (m,), at targets (m, 3)."""
-        middle = self.middle[None]
-        return self.rate(middle, targets, self.path(middle, targets)[1])[0]
+        return self._rates(self.middle[None], targets)[2][0]
 
-    def rate(self, sources: np.ndarray, targets: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
-        """R (n, m) from sources (n, 3) to targets (m, 3), whose amplitude (n, m) is known."""
+    def _rates(self, sources: np.ndarray, targets: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """V, A and R (n, m). All places are given to the path at once, which knows what they share."""
         step = STEP / max(self.reach, 1e-300)
-        moves = (0.0, 0.0) if self.source_velocity is None else (step * self.source_velocity(sources),) * 2
-        aside = 0.0 if self.target_velocity is None else step * self.target_velocity
-        ahead, behind = (
-            self.path(sources + sign * move, targets + sign * aside) for sign, move in zip((1, -1), moves, strict=True)
-        )
-        wavenumber = 2 * np.pi / self.wavelength
-        rate = 1j * wavenumber * (ahead[0] - behind[0]) + (ahead[1] - behind[1]) / amplitude
-        rate /= 2 * step
-        return rate if self.source_rate is None else rate + self.source_rate(sources)[:, None]
+        if self.target_velocity is None:
+            move = step * self.source_velocity(sources)
+            places = np.concatenate([sources, sources + move, sources - move])
+            lengths, amplitudes = (np.split(part, 3) for part in self.path(places, targets))
+        else:
+            aside = step * self.target_velocity
+            places = np.concatenate([targets, targets + aside, targets - aside])
+            lengths, amplitudes = (np.split(part, 3, axis=1) for part in self.path(sources, places))
+        rate = 1j * (2 * np.pi / self.wavelength) * (lengths[1] - lengths[2])
+        rate = (rate + (amplitudes[1] - amplitudes[2]) / amplitudes[0]) / (2 * step)
+        if self.source_rate is not None:
+            rate += self.source_rate(sources)[:, None]
+        return lengths[0], amplitudes[0], rate
+
+
+def gradient_at(path: Path, wavelength: float, middle: np.ndarray, targets: np.ndarray) -> np.ndarray:
+    """grad_P (ik V + ln A) at the source ``middle`` (3,) towards targets (m, 3), (3, m) complex [1/mm]."""
+    places = middle + STEP * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    length, amplitude = path(places, targets)
+    rate = 1j * (2 * np.pi / wavelength) * (length[1:4] - length[4:])
+    return (rate + (amplitude[1:4] - amplitude[4:]) / amplitude[0]) / (2 * STEP)
 
 
 def differentiable(path: Path, sources: np.ndarray, target: PlanePoints, wavelength: float) -> Path:
