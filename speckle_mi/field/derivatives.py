@@ -127,7 +127,9 @@ def _without_openings(setup, scatterers: Scatterers, channel: Channel, places: P
     rates = _at_first(setup, scatterers, path, places, lobe, field)
     lit = scatterers.position, scatterers.amplitude
     along = [_along(axis, path, *lit, wavelength) for axis in (places.u, places.v)]
-    slopes = [field(rate, lobe) + rate.common(places.points()) * rates.values[0] for rate in along]
+    slopes = [rate.common(places.points()) * rates.values[0] for rate in along]
+    if scatterers.count > 1:
+        slopes = [slope + field(rate, lobe) for slope, rate in zip(slopes, along, strict=True)]
     if lobe is not None:
         step = _lobe_step(setup, places)
         for number, axis in enumerate((places.u, places.v)):
@@ -216,7 +218,9 @@ def _at_first(setup: Setup, scatterers: Scatterers, path, target: PlanePoints, l
         rate = RatePath(path, beam.wavelength, middle, motion.velocity, None, light, reach)
         common = motion.velocity(middle[None])[0] @ gradient + light(middle[None])[0]
         constants.append(common.mean())
-        row = field(rate, lobe) + (common - constants[-1]) * rows[0]
+        row = (common - constants[-1]) * rows[0]
+        if scatterers.count > 1:  # one alone has nothing but what is common
+            row = row + field(rate, lobe)
         if lobe is not None:
             step = radiation.STEP if np.any(motion.turn) else _lobe_step(setup, target)
             row = row + field(path, LobeRate(lobe, motion, None, step))
