@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.plane import PlanePoints
 from .interpolated import interpolated
 from .paths import Path
@@ -88,10 +89,13 @@ def gradient_at(path: Path, wavelength: float, middle: np.ndarray, targets: np.n
 def differentiable(path: Path, sources: np.ndarray, target: PlanePoints, wavelength: float) -> Path:
     """A path that is evaluated cheaply around all sources (n, 3), off the plane that they lie in as well.
 
-    It is the path itself where it has no series of ``SERIES_TOLERANCE``.
+    It is the path itself where it has no series of ``SERIES_TOLERANCE``, or no ray from a little beside the sources.
     """
     low, high = sources.min(axis=0), sources.max(axis=0)
     room = max(ROOM * float(np.linalg.norm(high - low)), 4 * STEP)
     around = np.concatenate([sources + sign * room * axis for axis in np.eye(3) for sign in (-1, 1)])
     box = SourceBox.around(around, target.u)
-    return interpolated(path, box, target, wavelength, SERIES_TOLERANCE) or path
+    try:
+        return interpolated(path, box, target, wavelength, SERIES_TOLERANCE) or path
+    except InputError:
+        return path
