@@ -266,3 +266,10 @@ def test_the_command_says_in_one_line_what_is_wrong(tmp_path, flags, said):
 
     done = run("sensitivity", str(SCENES / "tilted_laser.xml"), *flags, cwd=tmp_path)
     refused(done, said)
+
+
+def test_a_program_asks_for_sensitivities_in_one_line(shipped, simulate):
+    import speckle_mi
+
+    found = speckle_mi.one_frame_sensitivity(shipped("tilted_laser"), ("ry",), surfaces=3)
+    assert found.fits["ry"]["u"].value == pytest.approx(found.fits["ry"]["u"].theory, rel=1e-3)

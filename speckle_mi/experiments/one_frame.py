@@ -20,14 +20,18 @@ from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..machine.cores import products_on_one_thread
 from ..measurement.sensitivity import CONFIDENCE, Sensitivity
 from ..measurement.velocity import SPECKLES, Flow, PatternVelocity, half_correlation
+from ..scene.assembly import Assembly
 from .chief_ray import SeenAxes, axes_as_seen
 from .expectation import AXES, CENTRE_AXES, expected_sensitivity, on_all_axes
 
-PIXELS_A_SPECKLE, FEWEST_PIXELS, MOST_PIXELS = 4.0, 1024, 4096
+PIXELS_A_SPECKLE, FEWEST_PIXELS, MOST_PIXELS = 4.0, 1024, 3072
 """Pixels that are looked at: so many a speckle, within these bounds. Four hold nearly all that a speckle tells."""
 
 SAMPLE_SEED = 11
 """Of the pixels' places: they are the same for every surface."""
+
+SURFACES = 8
+"""Surfaces that are measured unless asked otherwise."""
 
 RANGE = 0.2
 """Width of the range of displacements [mm or deg] for which scatter is stated unless asked otherwise: a sweep's own."""
@@ -164,6 +168,22 @@ def sensitivity_of(
         boiling[dof] = float(np.mean([one.boiling[number] for one in result.curved]))
         length[dof] = float(half_correlation(curvature))
     return OneFrameSensitivity(fits, scatter, boiling, length, seen, result)
+
+
+def one_frame_sensitivity(
+    assembly: Assembly, dofs: tuple[str, ...] = DEGREES_OF_FREEDOM, surfaces: int = SURFACES, width: float = RANGE
+) -> OneFrameSensitivity:
+    """Sensitivities to the target's motions from one frame of each of some surfaces, beside theory.
+
+    dofs: which of x, y, z, rx, ry, rz; surfaces: how many, of the scene's seed and those that follow (the user's own
+    points are one); width: of the range of displacements [mm or deg] for which the scatter of shifts is stated. Raises
+    SceneError where the field cannot be computed as asked, InputError where the detector stays dark.
+    """
+    simulation = Simulation(assembly)
+    measurement = OneFrame(simulation)
+    count = surfaces if assembly.target.points is None else 1
+    measurement.measure(range(assembly.seed, assembly.seed + count))
+    return sensitivity_of(simulation, measurement.result, dofs, width)
 
 
 @dataclass(frozen=True)
