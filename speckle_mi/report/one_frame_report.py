@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 from ..experiments import published as paper
+from ..experiments.expectation import expected_by_way
 from ..experiments.one_frame import OneFrameSensitivity
-from ..geometry.pose import Pose, is_rotation
 from ..field.simulation import Simulation
+from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..machine.system import system_information
 from .console import foot_lines, number, sensitivity_table
 from .sweep_report import paper_comparison, unit_of
@@ -34,6 +35,7 @@ def summarise_one_frame(simulation: Simulation, found: OneFrameSensitivity) -> d
         "sensitivity": {
             dof: {axis: fit.to_json() for axis, fit in fitted.items()} for dof, fitted in found.fits.items()
         },
+        "theory_by_way": _theory_by_way(simulation, list(found.fits)),
         "scatter": found.scatter,
         "boiling": found.boiling,
         "decorrelation_length": found.decorrelation_length,
@@ -42,6 +44,23 @@ def summarise_one_frame(simulation: Simulation, found: OneFrameSensitivity) -> d
         "seconds": result.seconds,
         "system": system_information(),
         "fits": found.fits,
+    }
+
+
+def _theory_by_way(simulation: Simulation, dofs: list[str]) -> dict | None:
+    """sensitivity[dof][axis] that theory expects of each way's light alone; None where there are not several."""
+    plan = simulation.plan(Pose())
+    if len(plan.channels) < 2:
+        return None
+    return {
+        way: {
+            dof: {
+                axis: None if values is None else float(values[DEGREES_OF_FREEDOM.index(dof)])
+                for axis, values in expected.items()
+            }
+            for dof in dofs
+        }
+        for way, expected in expected_by_way(simulation.assembly, plan).items()
     }
 
 
