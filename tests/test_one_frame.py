@@ -8,7 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from derivative_scenes import DERIVATIVE_TOLERANCE, compared, judged
-from scene_builder import direction, free_space
+from scene_builder import (
+    detector_frame,
+    detector_xml,
+    direction,
+    frame_along,
+    free_space,
+    integrator_xml,
+    laser_xml,
+    scene_of,
+    target_xml,
+)
 from test_commands import DONE, refused, run
 
 from speckle_mi import Pose, theory
@@ -120,7 +130,7 @@ def test_one_frame_agrees_with_theory_behind_a_ball_for_translations(shipped, si
 
 SMALL = {
     "imaging": {"width": 60, "height": 60, "beam_radius": 0.05, "point_sources": 600},
-    "telecentric": {"width": 60, "height": 60, "beam_radius": 0.05, "point_sources": 600},
+    "telecentric": {"width": 40, "height": 40, "beam_radius": 0.035, "point_sources": 300},
     "ball_lens": {"width": 32, "height": 32, "beam_radius": 0.012, "point_sources": 300},
 }
 """The shipped scenes with a small spot: several scatterers in what the lens resolves, as theory takes for granted.
@@ -273,3 +283,26 @@ def test_a_program_asks_for_sensitivities_in_one_line(shipped, simulate):
 
     found = speckle_mi.one_frame_sensitivity(shipped("tilted_laser"), ("ry",), surfaces=3)
     assert found.fits["ry"]["u"].value == pytest.approx(found.fits["ry"]["u"].theory, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    "flags, said", [(("--seeds", "3"), "--seeds 3"), (("--precision", "1%"), "one surface"), ((), "")]
+)
+def test_the_user_s_own_points_are_one_surface_with_an_interval_of_its_speckles(tmp_path, flags, said):
+    places = np.random.default_rng(0).uniform(-0.1, 0.1, (200, 2))
+    np.savetxt(tmp_path / "points.csv", np.column_stack([places, np.zeros(200)]), delimiter=",")
+    scene = free_space(direction(20), target={"points": "points.csv"}, detector={"width": 300, "height": 200})
+    (tmp_path / "scene.xml").write_text(scene)
+    done = run("sensitivity", "scene.xml", "--out", "found.json", *flags, cwd=tmp_path)
+    if said:
+        refused(done, said)
+        return
+    entry = json.loads((tmp_path / "found.json").read_text())["sensitivity"]["x"]["u"]
+    assert entry["basis"] == "residuals" and entry["ci95"][0] < entry["theory"] < entry["ci95"][1]
+
+
+def test_a_dark_detector_is_refused(tmp_path):
+    place = frame_along(-direction(20), 50 * direction(20) + np.array([30.0, 0, 0]))
+    scene = scene_of(integrator_xml(), laser_xml(place), target_xml(), detector_xml(detector_frame(direction(0), 60.0)))
+    (tmp_path / "dark.xml").write_text(scene)
+    refused(run("sensitivity", "dark.xml", cwd=tmp_path), "no light reaches the detector")
