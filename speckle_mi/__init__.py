@@ -7,6 +7,7 @@ In a program or a notebook::
     simulation = smi.Simulation(assembly)
     rest, moved = (simulation.frame(smi.Pose(x=x)).image for x in (0.0, 0.01))
     print(smi.Correlator(rest.intensity).shift(moved.intensity))
+    print(smi.one_frame_sensitivity(assembly).fits["x"]["u"])
 
 What is named here is imported when it is first used. ``python -m speckle_mi`` lists the commands. Importing the package
 does nothing else but make its plugins known to Mitsuba (``laser``, ``rough_target``, ``aperture``, ``lens``,
@@ -42,6 +43,7 @@ _PUBLIC = {
     "expected_sensitivity": "experiments.expectation",
     "fit_sensitivity": "measurement.sensitivity",
     "load_scene": "scene.load",
+    "one_frame_sensitivity": "experiments.one_frame",
     "read_image": "images.pictures",
     "theory": "theory",
 }

@@ -113,14 +113,9 @@ def _settings(options) -> SweepSettings:
     import numpy as np
 
     from .experiments.sweep_result import SweepSettings, frames_of
-    from .geometry.pose import DEGREES_OF_FREEDOM, Pose
+    from .geometry.pose import Pose, motions_named
 
-    dofs = tuple(name.strip() for name in options.dof.split(","))
-    for name in dofs:
-        if name not in DEGREES_OF_FREEDOM:
-            raise InputError(f"--dof {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
-    if len(set(dofs)) != len(dofs):
-        raise InputError(f"--dof {options.dof!r}: must name each motion once")
+    dofs = motions_named(options.dof)
     if not SMALLEST_RANGE <= options.range < math.inf:
         least = f"{SMALLEST_RANGE:g} (mm or deg)"
         raise InputError(f"--range {options.range:g}: must be a finite number of at least {least}")

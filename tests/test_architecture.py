@@ -24,7 +24,8 @@ LEVELS = (
     {"command_line"},
 )
 """Rooms in the order in which data flows; a room imports from those of earlier levels and from itself."""
-COMMANDS = {"render", "sweep", "correlate", "converge", "stability", "benchmark", "sysinfo", "scenes", "__main__"}
+COMMANDS = {"render", "sweep", "sensitivity", "pose", "correlate", "converge", "stability", "benchmark", "sysinfo", "scenes",
+            "__main__"}  # fmt: skip
 THIN = 230  # Lines of a plugin: documentation, parameters and registration, no physics.
 LONGEST = 400  # Lines of a file that can still be seen whole.
 
@@ -146,7 +147,7 @@ PURE = sorted(n for n in SOURCES if room(n) in ("measurement", "theory", "geomet
 @pytest.mark.parametrize(
     "name",
     (*PURE, "speckle_mi.images.exr", "speckle_mi.images.pictures", "speckle_mi.command_line", "speckle_mi.report.plots",
-     "speckle_mi.sweep", "speckle_mi.render", "speckle_mi.correlate"),
+     "speckle_mi.sweep", "speckle_mi.sensitivity", "speckle_mi.pose", "speckle_mi.render", "speckle_mi.correlate"),
 )  # fmt: skip
 def test_post_processing_imports_no_renderer(name):
     assert not RENDERER & top_level(reached(name))

@@ -73,6 +73,8 @@ def test_quick_benchmark_reports_ours_beside_the_peers(mitsuba, tmp_path, capsys
     assert {"direct kernel", "correlation of a frame", "EXR writing", "start-up and one frame, warm"} <= set(
         content["pieces"]
     )
+    one_frame = content["pieces"]["sensitivities, free space"]
+    assert 0 < one_frame["median"] and f"{one_frame['sweep_takes_times']:.0f} times" in one_frame["what"]
     assert set(content["costs"]) == set(COSTS) == {column.name for column in fields(Costs)}
     assert all(cost["measured"] > 0 for cost in content["costs"].values())
     text = capsys.readouterr().out

@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 from test_surface_mesh import quad, shaft, write_mesh
 
 from speckle_mi.experiments.chief_ray import SEVERAL_WAYS, axes_as_seen
-from speckle_mi.experiments.expectation import expected_sensitivity
+from speckle_mi.experiments.expectation import expected_by_way, expected_sensitivity
 from speckle_mi.experiments.sweep import run_sweep
 from speckle_mi.experiments.sweep_result import SweepResult, SweepSettings
 from speckle_mi.field.simulation import plan_of
@@ -305,6 +305,20 @@ def test_of_several_ways_shifts_are_projected_as_the_detector_stands_and_it_is_s
     assert expected_sensitivity(assembly)["x"] is None
     result = swept(assembly, tmp_path)
     assert result.warnings[SEVERAL_WAYS] == 3
+
+
+def test_of_several_ways_each_has_the_sensitivity_that_it_has_alone(assemble):
+    """Without walls light comes straight and over the mirror; with them over the mirror alone."""
+    both, alone = (assemble(folded_scene(FOLDED["one mirror"], walls=walls)[0]) for walls in (False, True))
+    ways = expected_by_way(both)
+    assert len(ways) == 2
+    (label, expected), = expected_by_way(alone).items()
+    folded = ways.pop(label)
+    for axis in ("u", "v", "x", "y"):
+        np.testing.assert_allclose(folded[axis], expected[axis], atol=1e-9, err_msg=axis)
+        np.testing.assert_array_equal(expected[axis], expected_sensitivity(alone)[axis])
+    straight, = ways.values()
+    assert np.abs(straight["u"] - folded["u"]).max() > 0.1
 
 
 CURVED = {

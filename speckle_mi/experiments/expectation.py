@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from .. import theory
@@ -41,6 +43,18 @@ def expected_sensitivity(assembly: Assembly, plan: Plan | None = None) -> dict[s
     if centre is not None:
         expected |= zip(CENTRE_AXES, theory.per_degree(centre), strict=True)
     return expected
+
+
+def expected_by_way(assembly: Assembly, plan: Plan | None = None) -> dict[str, dict[str, np.ndarray | None]]:
+    """What :func:`expected_sensitivity` says of the light of each way alone, by the way's words.
+
+    Where light comes by several ways each has a pattern of its own, and the detector sees their interference.
+    """
+    plan = plan or plan_of(assembly)
+    return {
+        channel.route.label: expected_sensitivity(assembly, replace(plan, channels=(channel,)))
+        for channel in plan.channels
+    }
 
 
 def on_all_axes(matrix: np.ndarray, assembly: Assembly, seen: SeenAxes) -> np.ndarray:

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 from scipy.linalg import qr, solve_triangular
 
+from ..geometry.motion import Motion
 from ..plan.setup import Setup
 from ..scattering.beam import Beam
 from ..scattering.rough_surface import Scatterers
@@ -28,15 +29,20 @@ ALONG_NORMAL = 1e-6
 class LobeTerm:
     """One term of an expansion sum_r s_r(j) p_r(D) of every scatterer's lobe.
 
-    sources: (n,) factor of each scatterer, or 1; towards: places (m, 3) -> factor (m,) of each.
+    sources: (n,) factor of each scatterer, or 1; towards: places (m, 3) -> factor (m,) of each; moved: the same with
+    the facet moved by an amount of a motion.
     """
 
     sources: np.ndarray | float
     towards: Callable[[np.ndarray], np.ndarray]
+    moved: Callable[[np.ndarray, Motion, float], np.ndarray] | None = None
 
 
 EVEN = (LobeTerm(1.0, lambda places: np.ones(len(places))),)
 """Radiation that is the same to all sides."""
+
+STEP = 1e-2
+"""Half the angle [rad] between the directions from which a lobe's change is taken: BSDFs are float32."""
 
 
 class Lobe:
@@ -92,22 +98,55 @@ class Lobe:
         Cheng et al., SIAM J. Sci. Comput. 26 (2005) 1389, doi:10.1137/030602678).
         """
         normals, points, facet = facets_of(scatterers, setup.spot.point)
-        light = setup.assembly.beam, setup.frame.axes
+        beam, axes = setup.assembly.beam, setup.frame.axes
 
-        def towards(number: int) -> Callable[[np.ndarray], np.ndarray]:
-            one = slice(number, number + 1)
-            return lambda places: self.amplitude(*light, normals[one], points[one], launch(points[one], places))[0]
+        def term(number: int, factor: np.ndarray | float) -> LobeTerm:
+            normal, point = normals[number][None], points[number][None]
+
+            def moved(places: np.ndarray, motion: Motion, amount: float) -> np.ndarray:
+                there = motion.moved(point, amount)
+                turned = motion.turned(axes.T, amount).T
+                return self.amplitude(beam, turned, motion.turned(normal, amount), there, launch(there, places))[0]
+
+            still = lambda places: self.amplitude(beam, axes, normal, point, launch(point, places))[0]  # noqa: E731
+            return LobeTerm(factor, still, moved)
 
         if len(normals) == 1:
-            return (LobeTerm(1.0, towards(0)),)
-        table = self.amplitude(*light, normals, points, launch(points, samples))
+            return (term(0, 1.0),)
+        table = self.amplitude(beam, axes, normals, points, launch(points, samples))
         _, triangle, order = qr(table.T, mode="economic", pivoting=True)
         size = np.abs(np.diag(triangle))
         rank = max(1, int(np.count_nonzero(size > SHARE * tolerance * size[0])))
         coefficients = np.zeros((len(normals), rank))
         coefficients[order[:rank]] = np.eye(rank)
         coefficients[order[rank:]] = solve_triangular(triangle[:rank, :rank], triangle[:rank, rank:]).T
-        return tuple(LobeTerm(coefficients[facet, k], towards(order[k])) for k in range(rank))
+        return tuple(term(order[k], coefficients[facet, k]) for k in range(rank))
+
+
+@dataclass(frozen=True)
+class LobeRate:
+    """How a lobe changes as the target moves, or as the places move that it sends light to: as a lobe's terms.
+
+    motion: of the target, or None; shift: (3,) of the places per unit [mm], or None; step: half the difference that is
+    taken, in units of the motion.
+    """
+
+    lobe: Lobe
+    motion: Motion | None
+    shift: np.ndarray | None
+    step: float
+
+    def terms(self, *arguments) -> tuple[LobeTerm, ...]:
+        """As :meth:`Lobe.terms`."""
+        return tuple(LobeTerm(term.sources, self._rate(term)) for term in self.lobe.terms(*arguments))
+
+    def _rate(self, term: LobeTerm) -> Callable[[np.ndarray], np.ndarray]:
+        def at(places: np.ndarray, amount: float) -> np.ndarray:
+            if self.motion is not None:
+                return term.moved(places, self.motion, amount)
+            return term.towards(places + amount * self.shift)
+
+        return lambda places: (at(places, self.step) - at(places, -self.step)) / (2 * self.step)
 
 
 def facets_of(scatterers: Scatterers, spot: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

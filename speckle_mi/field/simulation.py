@@ -24,6 +24,7 @@ from ..plan.way import Channel
 from ..propagation.costs import costs_of
 from ..scattering.rough_surface import Scatterers
 from ..scene.assembly import Assembly, Options
+from .derivatives import DerivativeFields, derivative_fields
 from .frame import FrameResult, header_of
 from .lobe import Lobe
 from .stages import ChannelField, channel_field, ray_channel
@@ -111,6 +112,19 @@ class Simulation:
         """The field (rows, columns) at the pixel centres that given scatterers make with the target at ``pose``."""
         setup = self._setup(self.assembly, pose, None)
         return self._field(setup, scatterers, self._plan(setup), (0.0, 0.0), [])[0]
+
+    @products_on_one_thread()
+    def derivatives(self, pixels: np.ndarray, seed: int | None = None) -> DerivativeFields:
+        """The field on some pixels with its derivatives by the target's motions from rest and along u and v.
+
+        pixels: (m,) flat indices of the detector, row by row; seed: which surface (default: the scene's). Raises
+        SceneError as :meth:`frame`, InputError for the method ``rays``.
+        """
+        assembly = self.assembly if seed is None else self.assembly.with_seed(seed)
+        setup = self._setup(assembly, Pose(), None)
+        plan = self._plan(setup)
+        scatterers = _visible(setup, _illuminated(setup), plan, [])
+        return derivative_fields(setup, plan, scatterers, pixels, self._radiation())
 
     def _setup(self, assembly: Assembly, pose: Pose | None, options: Options | None) -> Setup:
         assembly = assembly if options is None else replace(assembly, options=options)

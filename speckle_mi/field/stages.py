@@ -31,14 +31,16 @@ from ..plan.shadows import (
 )
 from ..plan.stage import BESIDE_WINDOW, RAYS, SUM, Stage
 from ..plan.way import Channel, Rim, without_rims
+from ..propagation.area import points_at
 from ..propagation.coherent_sum import How, SumResult, coherent_sum
 from ..propagation.edge_integral import edge_sum
-from ..propagation.opening_quadrature import TIGHTEST, opening_nodes
+from ..propagation.opening_quadrature import TIGHTEST
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
 from ..propagation.reference import reference_sum
 from ..scattering.rough_surface import Scatterers
 from ..scene.errors import SceneError
 from .lobe import EVEN, Lobe, LobeTerm
+from .openings import beside_window, nodes_on
 from .ray_method import ray_field
 
 _DARK = 1e-4
@@ -50,9 +52,6 @@ _FEW_PAIRS = 300_000
 
 _DIM_SHARE = 0.5
 """By how much more of itself the error of a sum counts for every further opening."""
-
-_RING = 0.1
-"""Outer part of a window's radius on which is looked how strong the light is that passes it by."""
 
 _QUADRATURE_SHARE, _QUADRATURE_SAFETY = 1e-5, 100.0
 """Part of the tolerance to which the integral over an opening is resolved: it converges fast, and costs little; and by
@@ -88,47 +87,27 @@ def channel_field(
     stages: list[Stage] = []
     for number, rim in enumerate(channel.openings):
         began = time.perf_counter()
-        gradient = channel.gradients[number]
-        try:
-            nodes, areas = opening_nodes(rim.plane.outline, rim.plane.frame, gradient.bound, quadrature, gradient.tilt)
-        except InputError as error:
-            raise SceneError(
-                f"opening {rim.name!r}: {error}; "
-                "put a smaller stop, or set diffraction to false where there is no focus"
-            ) from None
-        path = _path(channel, number, rim.end, opening, wavelength)
+        nodes, areas = nodes_on(channel, number, quadrature)
+        path = leg_path(channel, number, rim.end, opening, wavelength)
         if number == 0:
-            values, results = _on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe)
+            values, results = on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe)
         else:
-            result = _summed(channel, path, sources, weights, nodes, *how, tolerance, setup.costs)
+            result = summed(channel, path, sources, weights, nodes, *how, tolerance, setup.costs)
             values, results = result.field, [(result.how, result.numerical_error)]
         stages += _sums((rim.name,), results, began, nodes.size)
         sources, weights = nodes.points(), values * areas
         if rim.whole is not None:
-            stages.append(Stage(BESIDE_WINDOW, (rim.name,), error=_beside_window(rim, nodes, values, areas)))
+            stages.append(Stage(BESIDE_WINDOW, (rim.name,), error=beside_window(rim, nodes, values, areas)))
         opening = (rim.normal, rim.index)
     began = time.perf_counter()
-    path = _path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
-    result = _summed(channel, path, sources, weights, grid, *how, tolerance, setup.costs)
+    path = leg_path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
+    result = summed(channel, path, sources, weights, grid, *how, tolerance, setup.costs)
     values = result.field.reshape(grid.shape)
     if channel.hidden is not None:
         _require_dark(channel, values)
     stages += _sums(("the detector",), [(result.how, result.numerical_error)], began)
     uncertain = _QUADRATURE_SAFETY * quadrature * np.sqrt(len(channel.openings))
     return _channel_field(channel, values, stages, uncertain)
-
-
-def _beside_window(rim: Rim, nodes: PlanePoints, values: np.ndarray, areas: np.ndarray) -> float:
-    """Amplitude of the light that passes a window by, relative to that within it.
-
-    From the values (n,) at the nodes beside the window's edge: light that an edge has thrown there falls off in
-    amplitude as r^(-3/2) at most, as far as the rim that the window is a part of.
-    """
-    distance, radius = np.hypot(nodes.a, nodes.b), rim.plane.outline.radius
-    power, ring = np.abs(values) ** 2, distance > (1 - _RING) * radius
-    at_edge = float(np.average(power[ring], weights=areas[ring]))
-    beyond = 2 * np.pi * radius**2 * at_edge * max(1 - radius / rim.whole, 0.0)
-    return float(np.sqrt(beyond / max(float(power @ areas), 1e-300)))
 
 
 def _along_edge(setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, rim: Rim) -> ChannelField:
@@ -147,29 +126,40 @@ def _without_openings(
     setup: Setup, scatterers: Scatterers, channel: Channel, grid: PlaneGrid, lobe: Lobe | None
 ) -> ChannelField:
     """The field of a channel whose light is diffracted nowhere, with its shadows."""
-    assembly, began = setup.assembly, time.perf_counter()
-    path = _path(channel, 0, detector_plane(channel.grid), None, assembly.beam.wavelength)
+    began = time.perf_counter()
+    path = leg_path(channel, 0, detector_plane(channel.grid), None, setup.assembly.beam.wavelength)
+    values, results, share = on_detector(setup, channel, path, scatterers, grid, lobe)
+    stages = _sums(("the detector",), results, began, share=share)
+    return _channel_field(channel, values, stages)
+
+
+def on_detector(
+    setup: Setup, channel: Channel, path, scatterers: Scatterers, grid: PlaneGrid | PlanePoints, lobe: Lobe | None
+) -> tuple[np.ndarray, list[tuple[How, float]], float | None]:
+    """The field on the detector of a channel without openings, how each sum was done, and the share in shadow, if any.
+
+    path: to the detector's plane; grid: all of its pixels, or centres of some of them (the field is then (m,)).
+    """
+    assembly = setup.assembly
     clear = is_clear(setup, channel, scatterers.position, setup.frame.axes)
     how = assembly.beam.wavelength, assembly.options.method, assembly.options.tolerance, setup.costs
     results, share = [], None
 
     def radiated(weights: np.ndarray) -> np.ndarray:
         nonlocal share
-        result = _summed(channel, path, scatterers.position, weights, grid, *how)
-        field, error = result.field.reshape(grid.shape), result.numerical_error
+        result = summed(channel, path, scatterers.position, weights, grid, *how)
+        field, error = result.field, result.numerical_error
         if not clear:
             field, share, shared = _shadowed_field(setup, channel, path, scatterers.position, weights, grid, field)
             error = float(np.hypot(error, shared))
         results.append((result.how, error))
         return field
 
-    terms = _lobe_terms(setup, scatterers, channel, None, detector_places(grid), lobe)
-    values = _sum_of_terms(terms, scatterers, grid, radiated)
-    stages = _sums(("the detector",), results, began, share=share)
-    return _channel_field(channel, values, stages)
+    terms = _lobe_terms(setup, scatterers, channel, None, detector_places(channel.grid), lobe)
+    return _sum_of_terms(terms, scatterers, grid, radiated), results, share
 
 
-def _on_first_opening(
+def on_first_opening(
     setup: Setup, channel: Channel, rim: Rim, path, scatterers: Scatterers, nodes: PlanePoints, tolerance: float,
     lobe: Lobe | None,
 ) -> tuple[np.ndarray, list[tuple[How, float]]]:  # fmt: skip
@@ -179,7 +169,7 @@ def _on_first_opening(
     shadowed = has_shadow(channel, rim, sources, setup.frame.axes)
 
     def radiated(weights: np.ndarray) -> np.ndarray:
-        result = _summed(channel, path, sources, weights, nodes, *how)
+        result = summed(channel, path, sources, weights, nodes, *how)
         field, error = result.field, result.numerical_error
         if shadowed:
             field, shared = _with_shadows_on(nodes, channel, rim, path, sources, weights, field, *how)
@@ -247,7 +237,7 @@ def _channel_field(channel: Channel, values: np.ndarray, stages: list[Stage], qu
     return ChannelField(values, tuple(replace(stage, way=channel.route.label) for stage in stages), error)
 
 
-def _summed(channel: Channel, path, *arguments) -> SumResult:
+def summed(channel: Channel, path, *arguments) -> SumResult:
     """The coherent sum; where a traced path finds no ray, SceneError that says on which way and what to do."""
     try:
         return coherent_sum(path, *arguments)
@@ -291,7 +281,7 @@ def ray_channel(
     return ChannelField(amplitude_of(channel.interactions) * values, (stage,), math.nan), warnings
 
 
-def _path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):
+def leg_path(channel: Channel, number: int, end: Interaction, opening, wavelength: float):
     """What leads from point set ``number`` of the channel to the next, which lies in the plane ``end``."""
     between = channel.leg(number)
     if between and channel.openings:
@@ -322,7 +312,7 @@ def _with_shadows_on(
 
     def sum_over(group: np.ndarray, seen: np.ndarray) -> np.ndarray:
         places = replace(nodes, a=nodes.a[seen], b=nodes.b[seen])
-        return _summed(channel, path, sources[group], weights[group], places, *how).field
+        return summed(channel, path, sources[group], weights[group], places, *how).field
 
     field, _, error = shadowed_sum(
         sources, lambda places, _: lit_nodes(channel, rim, places, points), sum_over, whole, SHADOWS_ON_OPENING
@@ -331,11 +321,18 @@ def _with_shadows_on(
 
 
 def _shadowed_field(
-    setup: Setup, channel: Channel, path, sources: np.ndarray, weights: np.ndarray, grid: PlaneGrid, whole: np.ndarray
+    setup: Setup,
+    channel: Channel,
+    path,
+    sources: np.ndarray,
+    weights: np.ndarray,
+    grid: PlaneGrid | PlanePoints,
+    whole: np.ndarray,
 ) -> tuple[np.ndarray, float, float]:
     """Geometric field with all shadows, each scatterer's (or patch of the spot's) at its own place.
 
-    whole: (rows, columns) the field without them. Returns the share of pixels in shadow and the error of sharing, too.
+    whole: of the grid's shape, the field without them. Returns the share of pixels in shadow and the error of sharing,
+    too.
     """
     options = setup.assembly.options
     how = setup.assembly.beam.wavelength, options.method, options.tolerance, setup.costs
@@ -346,13 +343,22 @@ def _shadowed_field(
             return reference_sum(
                 path, sources[group], weights[group], pixels[seen.ravel()], setup.assembly.beam.wavelength
             )
-        rows, columns = np.nonzero(seen)
-        places = PlanePoints(grid.origin, grid.u, grid.v, grid.pitch * columns, grid.pitch * rows)
-        return _summed(channel, path, sources[group], weights[group], places, *how).field
+        places = points_at(grid, np.flatnonzero(seen))
+        return summed(channel, path, sources[group], weights[group], places, *how).field
+
+    def lit(places: np.ndarray, only: np.ndarray | None):
+        if isinstance(grid, PlaneGrid):
+            return lit_pixels(setup, channel, places, grid, only)
+        pixel = channel.grid.index_of(grid)
+        chosen = None
+        if only is not None:
+            chosen = np.zeros(channel.grid.shape, dtype=bool)
+            chosen.flat[pixel[only]] = True
+        return (seen.flat[pixel] for seen in lit_pixels(setup, channel, places, channel.grid, chosen))
 
     return shadowed_sum(
         sources,
-        lambda places, only: lit_pixels(setup, channel, places, grid, only),
+        lit,
         sum_over,
         whole,
         SHADOWS_ON_DETECTOR,

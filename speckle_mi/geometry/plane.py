@@ -78,6 +78,14 @@ class PlaneGrid:
         """(rows,) coordinate along v from ``origin`` [mm]."""
         return self.pitch * np.arange(self.shape[0])
 
+    def index_of(self, pixels: PlanePoints) -> np.ndarray:
+        """Flat indices (m,) of the grid points that lie nearest to points given in the grid's own coordinates."""
+        rows, columns = (
+            np.clip(np.rint(along / self.pitch).astype(np.int64), 0, count - 1)
+            for along, count in zip((pixels.b, pixels.a), self.shape, strict=True)
+        )
+        return rows * self.shape[1] + columns
+
     def points(self) -> np.ndarray:
         """World positions (rows * columns, 3) [mm], row-major."""
         grid = self.origin + self.rows[:, None, None] * self.v + self.columns[None, :, None] * self.u

@@ -18,6 +18,17 @@ def is_rotation(dof: str) -> bool:
     return dof.startswith("r")
 
 
+def motions_named(text: str, flag: str = "--dof") -> tuple[str, ...]:
+    """The degrees of freedom in ``"x,ry"``. Raises InputError for an unknown one, or one that is named twice."""
+    names = tuple(name.strip() for name in text.split(","))
+    for name in names:
+        if name not in DEGREES_OF_FREEDOM:
+            raise InputError(f"{flag} {name!r}: must be one of {', '.join(DEGREES_OF_FREEDOM)}")
+    if len(set(names)) != len(names):
+        raise InputError(f"{flag} {text!r}: must name each motion once")
+    return names
+
+
 FARTHEST = 1e6
 """Largest coordinate of a part [mm]; a path of twice as much holds 1e-6 of a wavelength in double precision."""
 

@@ -93,12 +93,14 @@ def chosen_edges(
         rest = [rim for rim in channel.rims if rim.number not in {one.number for one in chosen}]
         waves = [_between_rims(setup, channel, rim, twin) if (twin := _twin(chosen, rim)) is not None
                  else wave(rim, *_neighbours(chosen, rim)) for rim in rest]  # fmt: skip
-        wanted = [one for one in waves if _counts(setup, one) and one.rim.number not in unaffordable]
+        wanted = [one for one in waves if _counts(setup, one)
+                  and (one.v < CUTS or one.rim.number not in unaffordable)]  # fmt: skip
         if not wanted:
             return relayed, tuple(waves)
-        nearest = min(wanted, key=lambda one: one.v)
+        # A stop keeps the light off the rims of glasses: what these do is asked again once the stop is chosen.
+        nearest = min(wanted, key=lambda one: (one.v >= CUTS and not one.rim.is_screen, one.v))
         too_steep = estimated_nodes(nearest.rim.plane.outline, nearest.steepness) > CERTAINLY_TOO_MANY
-        if nearest.v < CUTS or (not too_steep and _is_affordable(setup, channel, nearest.rim, chosen, spots)):
+        if nearest.v < CUTS or (not too_steep and _is_affordable_beside(setup, channel, nearest.rim, openings, spots)):
             if alone is not None:  # it could be afforded only as long as there was no other
                 openings.remove(alone)
                 unaffordable.add(alone.number)
@@ -154,6 +156,12 @@ def limiting_rims(spot: np.ndarray, channel: Channel) -> list[Rim]:
 
 def _counts(setup: Setup, one: EdgeWave) -> bool:
     return one.v < CUTS or (np.isfinite(one.v) and one.wave > SHARE * setup.assembly.options.tolerance)
+
+
+def _is_affordable_beside(setup: Setup, channel: Channel, rim: Rim, openings: list[Rim], spots: np.ndarray) -> bool:
+    """Whether a rim can be diffracted at beside these openings, with the windows that it needs."""
+    together = with_windows(setup, channel, sorted([*openings, rim], key=lambda one: one.position), spots)
+    return _is_affordable(setup, channel, rim, [one for one in together.openings if one is not rim], spots)
 
 
 def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], spots: np.ndarray) -> bool:

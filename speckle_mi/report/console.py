@@ -24,9 +24,9 @@ def print_report(summary: dict) -> None:
     if any(fit[axis].theory is not None for fit in summary["fits"].values() for axis in CENTRE_AXES):
         tables.append(("Centre of gravity on the detector", CENTRE_AXES))
     for title, axes in tables:
-        heads, rows = _sensitivity_table(axes, summary)
+        heads, rows = sensitivity_table(axes, summary)
         print_table(console, heads, rows, title=title, left=(0, 1))
-    for line in _foot_lines(summary["fits"], [axis for _, axes in tables for axis in axes]):
+    for line in foot_lines(summary["fits"], [axis for _, axes in tables for axis in axes]):
         console.print(line)
     console.print(f"numerical error of the field {_numerical_error(summary['numerical_error'])}; "
                   f"{summary['seconds_per_frame'] * 1e3:.3g} ms a frame (median); "
@@ -40,7 +40,7 @@ def print_report(summary: dict) -> None:
         console.print(f"paper, {dof}: {note}")
 
 
-def _sensitivity_table(axes: tuple[str, str], summary: dict) -> tuple[list[str], list[list[str]]]:
+def sensitivity_table(axes: tuple[str, str], summary: dict) -> tuple[list[str], list[list[str]]]:
     """Heads and a row a motion: simulated and theoretical sensitivity along two axes, scatter, the paper's if any."""
     comparison = summary["paper"]
     published = comparison is not None and any(entry["axis"] in axes for entry in comparison["figures"].values())
@@ -55,7 +55,7 @@ def _sensitivity_table(axes: tuple[str, str], summary: dict) -> tuple[list[str],
     return [*heads, *(["paper"] if published else [])], rows
 
 
-def _foot_lines(fits: dict[str, dict[str, Sensitivity]], axes: list[str]) -> list[str]:
+def foot_lines(fits: dict[str, dict[str, Sensitivity]], axes: list[str]) -> list[str]:
     """What has to be known of the sensitivities along ``axes``, a line for each note with the cells it belongs to."""
     cells: dict[tuple[str, str], list[str]] = {}
     for dof, fitted in fits.items():

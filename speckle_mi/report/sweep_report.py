@@ -61,7 +61,7 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
         "numerical_error": result.numerical_error,
         "sensitivity": {dof: {axis: fit.to_json() for axis, fit in fitted.items()} for dof, fitted in fits.items()},
         "decorrelation": {dof: _decorrelation(assembly, settings, result, dof, plan) for dof in settings.dofs},
-        "paper": None if published is None else _paper_comparison(published, fits),
+        "paper": None if published is None else paper_comparison(published, fits),
         "warnings": result.warnings,
         "system": system_information(),
         "fits": fits,
@@ -134,7 +134,7 @@ def _axes_to_plot(fitted: dict[str, Sensitivity]) -> list[str]:
     return ["u", "v", *(axis for axis in CENTRE_AXES if fitted[axis].theory is not None)]
 
 
-def _paper_comparison(published: paper.PublishedAssembly, fits: dict[str, dict[str, Sensitivity]]) -> dict:
+def paper_comparison(published: paper.PublishedAssembly, fits: dict[str, dict[str, Sensitivity]]) -> dict:
     figures = {
         dof: {
             "axis": axis,

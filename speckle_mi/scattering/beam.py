@@ -110,6 +110,20 @@ class Beam:
         _, real, imaginary = BeamKernel(self).evaluate(lanes.Array3f64(x, y, z))
         return real.numpy() + 1j * imaginary.numpy()
 
+    def log_field(self, points: np.ndarray) -> np.ndarray:
+        """A logarithm of the field at points (n, 3), (n,) complex128, continuous from place to place: for its slopes.
+
+        Up to a constant; finite where the field itself is too weak for a number.
+        """
+        along, across = self._parts(points)
+        modulus, curvature, _ = self._parameter(along)
+        squared = np.sum(across * across, axis=1)
+        path = along + curvature * squared / (1 + np.sqrt(1 + curvature**2 * squared))
+        if np.isinf(self.radius):
+            return 1j * self.wavenumber * path
+        decay = squared / (self.radius**2 * modulus) + np.log(1 + along * self.inverse_parameter)
+        return 1j * self.wavenumber * path - decay
+
     def _parts(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance along the axis from the reference (n,) and the vectors across it (n, 3) [mm]."""
         offset = points - self.reference

@@ -14,7 +14,10 @@ from ...measurement.correlator import Correlator
 from ...propagation.direct import direct_sum
 from ...propagation.paths import FreeSpace
 from ...scattering.rough_surface import illuminated_scatterers
+from ...scene.load import load_scene
+from ...scene.shipped import folder as folder_of_scenes
 from .commands import command_times
+from .one_frame import SURFACES, against_sweep
 from .specimen import SCENE, Specimen
 
 PAIRS_SOURCES, QUICK_PAIRS_SOURCES = 4096, 512
@@ -44,6 +47,9 @@ def pieces(specimen: Specimen, quick: bool) -> dict[str, dict]:
         target = specimen.denser(count).target
         timing = timed(partial(illuminated_scatterers, target.surface, specimen.assembly.beam, target.frame))
         found[f"scatterers, {count:,}"] = asdict(timing) | {"what": "places, heights, illumination"}
+    found |= against_sweep("free space", specimen.assembly, surfaces=2 if quick else SURFACES)
+    if not quick:
+        found |= against_sweep("lens", load_scene(folder_of_scenes() / "imaging.xml"))
     return found
 
 

@@ -1,0 +1,77 @@
+"""How steep the phase of the light is over an opening, which tells how many nodes its integral takes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import InputError
+from ..geometry.outline import Circle
+from ..geometry.pairs import all_pairs
+from ..optics.aim import aim
+from ..optics.sequence import Sequence
+from .legs import leg
+from .places import FINE, detector_places, hole_places
+from .way import Channel, PhaseGradient, Rim
+
+_GRADIENT_SAFETY = 1.05
+"""Factor on the sampled phase gradient, for what lies between the samples."""
+
+
+def phase_gradients(channel: Channel, spots: np.ndarray, wavelength: float) -> tuple[PhaseGradient, ...]:
+    """Bounds on the phase gradient over every opening of a channel, for light from places on the spot (n, 3).
+
+    Raises InputError, naming the opening, where no ray leads over one.
+    """
+    found = []
+    for number, rim in enumerate(channel.openings):
+        before = channel.openings[number - 1] if number > 0 else None
+        after = channel.openings[number + 1] if number + 1 < len(channel.openings) else None
+        sources = spots if before is None else hole_places(before.plane, *FINE)
+        targets = detector_places(channel.grid) if after is None else hole_places(after.plane, *FINE)
+        try:
+            found.append(phase_gradient(channel, rim, before, after, sources, targets, wavelength, _GRADIENT_SAFETY))
+        except InputError as error:
+            raise InputError(f"opening {rim.name!r}: {error}") from None
+    return tuple(found)
+
+
+def phase_gradient(
+    channel: Channel,
+    rim: Rim,
+    before: Rim | None,
+    after: Rim | None,
+    sources: np.ndarray,
+    targets: np.ndarray,
+    wavelength: float,
+    safety: float,
+) -> PhaseGradient:
+    """Bound on the phase gradient over a rim of all light from sources (n, 3) to targets (m, 3).
+
+    before, after: openings that these lie on, None for the spot and the detector; safety: factor on what is sampled.
+    Raises InputError where no ray leads over the rim.
+    """
+    samples = hole_places(rim.plane, *FINE)
+    (leading, middle), (trailing, end) = leg(channel, before, rim), leg(channel, rim, after)
+    coming = aim(Sequence((*leading, middle)), *reversed(all_pairs(samples, sources)))
+    going = aim(Sequence((*trailing, end)), *all_pairs(samples, targets))
+    tangents = rim.plane.frame.axes[:, :2]
+    k = 2 * np.pi * rim.index / wavelength
+    arriving = k * (coming.arrival @ tangents).reshape(len(samples), -1, 1, 2)
+    leaving = k * (going.launch @ tangents).reshape(len(samples), 1, -1, 2)
+    gradient = (arriving - leaving).reshape(len(samples), -1, 2)
+    if not np.isfinite(gradient).any():
+        raise InputError("no ray leads over it from the spot to the detector")
+    outline = rim.plane.outline
+    if not isinstance(outline, Circle):
+        bound = safety * np.nanmax(np.abs(gradient), axis=(0, 1))
+        return PhaseGradient((float(bound[0]), float(bound[1])))
+    local = rim.plane.frame.to_local(samples)[:, :2]
+    radius = np.hypot(*local.T)
+    with np.errstate(invalid="ignore"):
+        length = np.fmax.reduce(np.hypot(gradient[..., 0], gradient[..., 1]), axis=1, initial=0.0)
+        around = np.stack([-local[:, 1], local[:, 0]], axis=1) / np.maximum(radius, 1e-300)[:, None]
+        azimuthal = np.fmax.reduce(np.abs(np.einsum("snk,sk->sn", gradient, around)), axis=1, initial=0.0)
+    tilt = max(float(length[radius == 0].max()), float(azimuthal.max()))
+    largest = float(length.max())
+    grows_evenly = np.all(length <= (tilt + (largest - tilt) * radius / outline.radius) * safety + 1e-9)
+    return PhaseGradient(safety * largest, safety * tilt if grows_evenly else None)

@@ -1,0 +1,71 @@
+"""``python -m speckle_mi.pose``: turns the shifts of one or several detectors into the target's motion.
+
+    python -m speckle_mi.pose SUMMARY.json [SUMMARY.json ...] SHIFTS.csv [--dof x,y,z,rx,ry,rz] [--range 0.2]
+
+Summaries are those of the commands sensitivity and sweep, one a detector; the shifts are as the command correlate
+prints them, in the detectors' order or with their names in a column ``detector``. Each motion has an uncertainty from
+that of the shifts and from what one surface's sensitivities differ from the mean by.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .command_line import command, parser
+from .errors import InputError
+
+EXAMPLE = """example:
+  python -m speckle_mi.pose left.json right.json top.json shifts.csv --out motion.json"""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    options = _parser().parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    import numpy as np
+
+    from .geometry.pose import motions_named
+    from .machine.files import require_output, write_json
+    from .measurement.observability import estimated_motion, observability
+    from .report.pose_report import print_motions, read_detector, read_shifts, to_json
+
+    *summaries, shifts = options.files
+    if not summaries:
+        raise InputError(f"{shifts}: there must be a summary and a table of shifts (see --help)")
+    dofs = motions_named(options.dof)
+    if not 0 < options.range < math.inf:
+        raise InputError(f"--range {options.range:g}: must be a finite number above 0 (mm or deg)")
+    if options.out is not None:
+        require_output(options.out, ".json")
+    detectors = [read_detector(path, dofs) for path in summaries]
+    matrix = np.concatenate([one.matrix for one in detectors])
+    scatter = np.concatenate([one.scatter for one in detectors])
+    scale = np.full(len(dofs), options.range / 2)
+    seen = observability(matrix, scale)
+    table = read_shifts(shifts, [one.name for one in detectors])
+    estimates = [estimated_motion(matrix, scatter, *one, scale) for one in table]
+    if options.out is not None:
+        write_json(options.out, to_json(dofs, seen, estimates))
+    if not options.quiet:
+        print_motions(dofs, seen, estimates)
+
+
+def _parser():
+    from .geometry.pose import DEGREES_OF_FREEDOM
+
+    made = parser("pose", "Turns shifts of one or several detectors into the target's motion.")
+    made.epilog = EXAMPLE
+    files = "SUMMARY.json ... SHIFTS.csv"
+    made.add_argument("files", nargs="+", metavar=files, help="sensitivities of each detector, and the shifts")
+    everything = ",".join(DEGREES_OF_FREEDOM)
+    made.add_argument("--dof", default=everything, metavar=everything, help="motions that there are (default: all six)")
+    made.add_argument(
+        "--range", type=float, default=0.2,
+        help="width of the range of motions by which what is seen is judged, mm or deg (default: %(default)s)",
+    )  # fmt: skip
+    made.add_argument("--out", metavar="F.json", help="also write everything as JSON")
+    return made
+
+
+if __name__ == "__main__":
+    raise SystemExit(command(main))

@@ -1,0 +1,141 @@
+"""``python -m speckle_mi.sensitivity``: measures how far the pattern moves for every motion, from one frame a surface.
+
+    python -m speckle_mi.sensitivity SCENE [--dof x,y,z,rx,ry,rz] [--seeds 8] [--precision 1%] [--out F.json]
+
+The same tables as a sweep's, at about a sixtieth of its cost: the velocity of the pattern comes from the field and its
+derivatives by the motions, and what is not motion is the pattern's boiling.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from .command_line import add_force, command, scene_parser
+from .errors import InputError
+
+SEEDS = 8
+"""Surfaces unless asked for otherwise."""
+
+EXAMPLE = """example:
+  python -m speckle_mi.sensitivity scenes/tilted_laser.xml --dof x,ry --precision 1% --out tilted.json"""
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    options = _parser().parse_args(arguments)
+    # Not at the top: a command answers interrupts before it imports what takes time.
+    from .geometry.pose import motions_named
+    from .machine.files import identity_in, refuse_other_settings, require_output, write_json
+
+    dofs, precision = motions_named(options.dof), _precision(options)
+    if options.seeds is not None and options.seeds < 1:
+        raise InputError(f"--seeds {options.seeds}: must be at least 1")
+    if not 0 < options.range < math.inf:
+        raise InputError(f"--range {options.range:g}: must be a finite number above 0 (mm or deg)")
+    if options.out is not None:
+        require_output(options.out, ".json")
+    from .scene.load import open_scene
+
+    scene = open_scene(options.scene, options.defaults, options.variant)
+    from .experiments.one_frame import sensitivity_of
+    from .field.simulation import Simulation
+    from .geometry.pose import Pose
+    from .plan.cost import require_affordable
+    from .report.one_frame_report import print_one_frame, summarise_one_frame
+    from .scene.read import assembly_from_scene
+
+    assembly = assembly_from_scene(scene)
+    identity = {
+        "scene_hash": assembly.fingerprint(), "dof": list(dofs), "seeds": _surfaces(assembly, options),
+        "first_seed": assembly.seed, "precision": options.precision, "range": options.range,
+    }  # fmt: skip
+    if options.out is not None:
+        refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
+    simulation = Simulation(assembly)
+    require_affordable(simulation.cost(Pose()), options.force)
+    result = _measured(simulation, dofs, precision, identity["seeds"], options)
+    found = sensitivity_of(simulation, result, dofs, options.range)
+    summary = summarise_one_frame(simulation, found)
+    summary |= {"scene": options.scene, "defaults": options.defaults, "identity": identity}
+    if options.out is not None:
+        write_json(options.out, {name: value for name, value in summary.items() if name != "fits"})
+    if not options.quiet:
+        print_one_frame(summary)
+
+
+def _measured(simulation, dofs: tuple[str, ...], precision, count: int, options):
+    """The velocities of ``count`` surfaces, or of as many as the precision asked for takes."""
+    from .experiments.one_frame import OneFrame, sensitivity_of
+    from .experiments.precision import MOST_SURFACES
+    from .machine.progress import progress_bars
+
+    measurement, first = OneFrame(simulation), simulation.assembly.seed
+    with progress_bars(options.quiet) as progress:
+        bar = progress.add_task("surfaces", total=count)
+        while True:
+            done = len(measurement.result.seeds)
+            measurement.measure(range(first + done, first + count), lambda: progress.advance(bar))
+            if precision is None:
+                return measurement.result
+            lacking, where = precision.lacking(sensitivity_of(simulation, measurement.result, dofs).fits)
+            if lacking <= 1:
+                return measurement.result
+            if count >= MOST_SURFACES:
+                raise InputError(
+                    f"--precision {options.precision}: the interval of {where} is still {lacking:.3g} times as wide "
+                    f"after {count} surfaces, ask for less"
+                )
+            count = precision.surfaces(count, lacking)
+            progress.update(bar, total=count)
+
+
+def _precision(options):
+    from .experiments.precision import Precision
+
+    return None if options.precision is None else Precision.parse(options.precision)
+
+
+def _surfaces(assembly, options) -> int:
+    """How many surfaces there are at first: the user's own points are one, whatever its seed."""
+    if assembly.target.points is None:
+        count = SEEDS if options.seeds is None else options.seeds
+        if options.precision is not None and count < 2:
+            raise InputError(f"--seeds {count}: must be at least 2 with --precision, which rests on their scatter")
+        return count
+    if options.precision is not None:
+        raise InputError(
+            f"--precision {options.precision}: the target's own points are one surface, and no seed makes another: "
+            "leave it out"
+        )
+    if options.seeds is not None and options.seeds > 1:
+        raise InputError(
+            f"--seeds {options.seeds}: must be 1, the target's own points are one surface and no seed makes another"
+        )
+    return 1
+
+
+def _parser():
+    from .geometry.pose import DEGREES_OF_FREEDOM
+
+    made = scene_parser("sensitivity", "Measures sensitivities from one frame a surface.")
+    made.epilog = EXAMPLE
+    everything = ",".join(DEGREES_OF_FREEDOM)
+    made.add_argument("--dof", default=everything, metavar=everything, help="motions (default: all six)")
+    seeds_help = f"number of surfaces (default: {SEEDS}, or 1 where the scene has its own points)"
+    made.add_argument("--seeds", type=int, default=None, help=seeds_help)
+    made.add_argument(
+        "--precision", metavar="P",
+        help="add surfaces until no 95%% interval along u or v is wider than +- P: 1%% of the largest sensitivity to a "
+        "motion of the same kind, 0.01mm/mm, 0.02mm/deg, or several of these with commas",
+    )  # fmt: skip
+    made.add_argument(
+        "--range", type=float, default=0.2,
+        help="width of the range of displacements for which scatter is stated, mm or deg (default: %(default)s)",
+    )  # fmt: skip
+    made.add_argument("--out", metavar="F.json", help="also write everything as JSON")
+    add_force(made)
+    return made
+
+
+if __name__ == "__main__":
+    raise SystemExit(command(main))
