@@ -145,3 +145,24 @@ def _in_order(out, rows):
             counts[name] = number + 1
             name += f"_{number:03d}"
         yield out / "frames" / f"{name}.exr"
+
+
+def test_an_interrupt_while_a_loop_is_recorded_is_still_one(mitsuba):
+    import drjit as dr
+
+    from speckle_mi.machine.backend import arrays
+    from speckle_mi.machine.interrupt import raised_as_such
+
+    number = arrays().UInt32
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    @raised_as_such()
+    def frame():
+        dr.while_loop((number(0),), lambda i: i < number(10), interrupted)
+
+    with pytest.raises(KeyboardInterrupt):
+        frame()
+    with pytest.raises(RuntimeError, match="^other$"), raised_as_such():
+        raise RuntimeError("other")

@@ -13,6 +13,7 @@ from ..geometry.pose import Pose
 from ..images.field_image import FieldImage
 from ..machine.backend import ensure_variant
 from ..machine.cores import products_on_one_thread
+from ..machine.interrupt import raised_as_such
 from ..machine.progress import tell
 from ..plan.cost import Cost, cost_of
 from ..plan.plan import Plan, make_plan
@@ -84,6 +85,7 @@ class Simulation:
         setup = self._setup(self.assembly, pose, options)
         return cost_of(setup.assembly, self._plan(setup).channels)
 
+    @raised_as_such()
     @products_on_one_thread()
     def frame(self, pose: Pose | None = None, seed: int | None = None, options: Options | None = None) -> FrameResult:
         """The field image with everything that was found out on the way.

@@ -58,6 +58,20 @@ def answered(afterwards_ignored: bool = False) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def raised_as_such() -> Iterator[None]:
+    """A KeyboardInterrupt leaves the block as one, also where Dr.Jit, recording a loop, has made another error of it."""
+    try:
+        yield
+    except RuntimeError as error:
+        cause: BaseException | None = error
+        while cause is not None:
+            if isinstance(cause, KeyboardInterrupt):
+                raise KeyboardInterrupt from error
+            cause = cause.__cause__ or cause.__context__
+        raise
+
+
+@contextlib.contextmanager
 def keeping(keep: Callable[[], None]) -> Iterator[None]:
     """Calls ``keep`` when the block is left in whatever way: at its end, by an error, or by the end of the process.
 
