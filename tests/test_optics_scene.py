@@ -291,7 +291,8 @@ def test_free_space_launches_no_ray_traces_nothing_and_diffracts_nothing(shipped
         (plan, "aim"),
         (fields, "aim"),
         (fields, "TracedLeg"),
-        (fields, "opening_nodes"),
+        (fields, "nodes_on"),
+        (fields, "edge_sum"),
     ):
         monkeypatch.setattr(module, name, fails(name))
     frame = simulate_frame(shipped("tilted_laser", width=16, height=12))
@@ -299,7 +300,7 @@ def test_free_space_launches_no_ray_traces_nothing_and_diffracts_nothing(shipped
 
 
 def test_mirrors_alone_trace_no_lens_and_diffract_nothing(shipped, monkeypatch):
-    for name in ("TracedLeg", "RayleighSommerfeld", "opening_nodes"):
+    for name in ("TracedLeg", "RayleighSommerfeld", "nodes_on", "edge_sum"):
         monkeypatch.setattr(fields, name, fails(name))
     frame = simulate_frame(shipped("folded", width=24, height=16))
     assert any("unfolded: plane mirror mirror" in line for line in frame.plan)
@@ -307,7 +308,7 @@ def test_mirrors_alone_trace_no_lens_and_diffract_nothing(shipped, monkeypatch):
 
 
 def test_an_aperture_far_larger_than_the_light_diffracts_nothing(shipped, monkeypatch):
-    for name in ("TracedLeg", "RayleighSommerfeld", "opening_nodes"):
+    for name in ("TracedLeg", "RayleighSommerfeld", "nodes_on", "edge_sum"):
         monkeypatch.setattr(fields, name, fails(name))
     assembly = shipped("integrated_sensor", width=24, height=16, aperture_radius=5, tolerance=1e-6)
     frame = simulate_frame(assembly)
