@@ -21,10 +21,11 @@ from ..plan.setup import Setup
 from ..plan.shadows import has_shadow, is_clear
 from ..plan.visibility import pixels_in_view
 from ..plan.way import Channel
+from ..propagation.area import points_at
 from ..propagation.carried import carried
 from ..propagation.free_space_rates import free_space_rates
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
-from ..propagation.rates import STEP, RatePath, differentiable, gradient_at
+from ..propagation.rates import STEP, RatePath, centre_of_power, differentiable, gradient_at
 from ..scattering.rough_surface import Scatterers
 from . import lobe as radiation
 from .lobe import Lobe, LobeRate
@@ -98,8 +99,7 @@ def _of_channel(
     setup: Setup, scatterers: Scatterers, channel: Channel, pixels: np.ndarray, lobe: Lobe | None
 ) -> DerivativeFields:
     grid, factor = channel.grid, amplitude_of(channel.interactions)
-    rows, columns = np.divmod(pixels, grid.shape[1])
-    places = PlanePoints(grid.origin, grid.u, grid.v, grid.pitch * columns, grid.pitch * rows)
+    places = points_at(grid, pixels)
     if not channel.openings:
         if not channel.interactions:
             factor = factor * np.broadcast_to(pixels_in_view(setup, grid), grid.shape).flat[pixels]
@@ -162,13 +162,14 @@ def beam_gradients(beam, points: np.ndarray) -> np.ndarray:
 def _over_openings(setup, scatterers: Scatterers, channel: Channel, places: PlanePoints, lobe: Lobe | None):
     """_Rates at the places, and derivatives (2, m) along u and v, behind the channel's openings."""
     wavelength, options = setup.assembly.beam.wavelength, setup.assembly.options
-    how = wavelength, options.method, max(options.tolerance / (len(channel.openings) + 1), 1e-8), setup.costs
+    tolerance = max(options.tolerance / (len(channel.openings) + 1), 1e-8)
+    how = wavelength, options.method, tolerance, setup.costs
     rates, sources, opening = None, None, None
     for number, rim in enumerate(channel.openings):
         nodes, areas = nodes_on(channel, number, QUADRATURE)
         path = leg_path(channel, number, rim.end, opening, wavelength)
         if number == 0:
-            rates = _on_first(setup, scatterers, channel, path, nodes, how[2], lobe)
+            rates = _on_first(setup, scatterers, channel, path, nodes, tolerance, lobe)
         else:
             rates = _carried(rates, channel, path, sources, nodes, how)
         rates = replace(rates, values=rates.values * areas)
@@ -211,7 +212,7 @@ def _at_first(setup: Setup, scatterers: Scatterers, path, target: PlanePoints, l
     """
     beam, points = setup.assembly.beam, target.points()
     rows, constants = [field(path, lobe)], []
-    middle = _middle(scatterers.position, scatterers.amplitude)
+    middle = centre_of_power(scatterers.position, scatterers.amplitude)
     gradient = gradient_at(path, beam.wavelength, middle, points)
     for motion in _motions(setup):
         reach = float(np.linalg.norm(motion.velocity(scatterers.position), axis=1).max(initial=1e-3))
@@ -241,13 +242,7 @@ def _lit(beam, motion: Motion, reach: float):
 
 
 def _along(axis: np.ndarray, path, sources: np.ndarray, weights: np.ndarray, wavelength: float) -> RatePath:
-    return RatePath(path, wavelength, _middle(sources, weights), None, axis)
-
-
-def _middle(sources: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(3,) centre of the power of sources (n, 3) with weights (n,)."""
-    power = np.abs(weights) ** 2
-    return power @ sources / power.sum() if power.sum() > 0 else sources.mean(axis=0)
+    return RatePath(path, wavelength, centre_of_power(sources, weights), None, axis)
 
 
 def _cheap(path, sources: np.ndarray, target: PlanePoints, wavelength: float):

@@ -109,12 +109,14 @@ class Simulation:
         image = FieldImage(intensity, centre, header)
         return FrameResult(image, scatterers, stages, error, tuple(warnings), time.perf_counter() - began)
 
+    @raised_as_such()
     @products_on_one_thread()
     def field_of(self, scatterers: Scatterers, pose: Pose | None = None) -> np.ndarray:
         """The field (rows, columns) at the pixel centres that given scatterers make with the target at ``pose``."""
         setup = self._setup(self.assembly, pose, None)
         return self._field(setup, scatterers, self._plan(setup), (0.0, 0.0), [])[0]
 
+    @raised_as_such()
     @products_on_one_thread()
     def derivatives(self, pixels: np.ndarray, seed: int | None = None) -> DerivativeFields:
         """The field on some pixels with its derivatives by the target's motions from rest and along u and v.

@@ -59,7 +59,10 @@ def answered(afterwards_ignored: bool = False) -> Iterator[None]:
 
 @contextlib.contextmanager
 def raised_as_such() -> Iterator[None]:
-    """A KeyboardInterrupt leaves the block as one, also where Dr.Jit, recording a loop, has made another error of it."""
+    """A KeyboardInterrupt leaves the block as one, also where Dr.Jit, recording a loop, has made another error of it.
+
+    Of code that is called from Python: a command is ended otherwise, see above.
+    """
     try:
         yield
     except RuntimeError as error:

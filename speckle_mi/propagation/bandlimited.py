@@ -21,7 +21,7 @@ from .area import Area
 from .chebyshev import chebyshev_nodes, interpolation_matrix
 from .direct import SINGLE_PRECISION, supports
 from .paths import Path
-from .phasors import WRITE, phasor
+from .phasors import WRITE, phasor, unit_phasor
 from .source_box import SourceBox, for_chunks
 
 PROBES = 17
@@ -223,9 +223,7 @@ def band_limited_sum(
 
 
 def _common_phasor(path: Path, reference: np.ndarray, places: np.ndarray, wavelength: float) -> np.ndarray:
-    turns = path(reference[None], places)[0][0] / wavelength
-    angle = 2 * np.pi * (turns - np.round(turns))
-    return np.cos(angle) + 1j * np.sin(angle)
+    return unit_phasor(path(reference[None], places)[0][0] / wavelength)
 
 
 def _interpolate_grid(

@@ -14,10 +14,10 @@ import numpy as np
 
 from ..geometry.plane import PlanePoints
 from ..machine.backend import arrays, opaque
-from .direct import BLOCK, LANES_AT_ONCE
+from .direct import BLOCK, LANES_AT_ONCE, sum_in_blocks
 from .paths import RayleighSommerfeld
 from .phasors import inverse_root, multiply, phasor
-from .rates import RatePath
+from .rates import RatePath, centre_of_power
 
 _PACKET = 4
 """Float32 numbers that one gather fetches: two fields."""
@@ -39,8 +39,7 @@ def carried(
     The slopes are summed less what all sources have in common, see :mod:`.rates`, which is added afterwards. What the
     slopes of the amplitude differ by between sources is left out: they are lambda/(2 pi r) of the phase's.
     """
-    power = np.abs(rows[0]) ** 2
-    middle = power @ sources / max(float(power.sum()), 1e-300)
+    middle = centre_of_power(sources, rows[0])
     scales = np.maximum(np.abs(rows).max(axis=1), 1e-300)
     sums = _sums(path, sources - middle, rows / scales[:, None], target, middle, wavelength)
     values = sums[:-2] * scales[:, None]
@@ -94,18 +93,8 @@ def _sums(path, sources, rows, target: PlanePoints, middle: np.ndarray, waveleng
                 fields.append((-fields[0][1] * slope, fields[0][0] * slope))
             return [one + part for one, part in zip(partial, (part for pair in fields for part in pair), strict=True)]
 
-        def over_blocks(block, *totals):
-            def over_block(number, stop, *partial):
-                return number + 1, stop, *add(partial, number)
-
-            first = block * BLOCK
-            zeros = [dr.zeros(ad.Float32, dr.width(block)) for _ in totals]
-            state = dr.while_loop((first, first + BLOCK, *zeros), lambda number, stop, *_: number < stop, over_block)
-            return block + 1, *(total + ad.Float64(part) for total, part in zip(totals, state[2:], strict=True))
-
-        count, zeros = dr.opaque(ad.UInt32, blocks), [dr.zeros(ad.Float64, len(some)) for _ in range(outputs)]
         begin = dr.zeros(ad.UInt32, len(some))
-        _, *totals = dr.while_loop((begin, *zeros), lambda block, *_: block < count, over_blocks)
+        totals = sum_in_blocks(ad, ad.Float32, begin, dr.opaque(ad.UInt32, blocks, len(some)), outputs, add)
         dr.eval(totals)
         found[:, start : start + len(some)] = [one.numpy() for one in totals]
     # 1/(i lambda) and a path in wavelengths, whose inverse square is the amplitude's.

@@ -333,9 +333,7 @@ class Task:
             exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, tolerance=0.0)
         else:
             exact = self._reference(places)
-        # The scale is the whole field's: a few points of a speckle pattern do not know it.
-        scale = sample.mean_square or float(np.mean(np.abs(exact) ** 2)) or 1.0
-        error = np.sqrt(np.mean(np.abs(flat[sample.index] - exact) ** 2 / sample.share) / scale)
+        error = sample.error(flat[sample.index], exact)
         seconds = candidate.seconds if np.isfinite(candidate.seconds) else None
         how = replace(candidate.how, why=why, slower=slower, missed=tuple(missed), tolerance=self.tolerance,
                       predicted_seconds=seconds)  # fmt: skip

@@ -98,18 +98,18 @@ class _Sources:
         return type(self.weight)
 
 
-def _sum_over_sources(ad: ModuleType, sources: _Sources, first_block, end_block, outputs: int, add):
-    """Two nested symbolic loops: ``add(accumulators, place, weight)`` in float32 over a block, float64 over blocks."""
-    pair = ad.Array2f64 if sources.real is ad.Float64 else ad.Array2f
+def sum_in_blocks(ad: ModuleType, real: type, first_block, end_block, outputs: int, add):
+    """Two nested symbolic loops: ``add(accumulators, number)`` over a block's sources in ``real``, float64 over blocks.
+
+    first_block, end_block: of every lane; returns the ``outputs`` totals.
+    """
 
     def over_blocks(block, end, *totals):
         def over_block(j, stop, *partial):
-            place = dr.gather(ad.Array4f64, sources.place, j)
-            weight = dr.gather(pair, sources.weight, j)
-            return (j + 1, stop, *add(partial, place, weight))
+            return (j + 1, stop, *add(partial, j))
 
         start = block * BLOCK
-        zeros = [dr.zeros(sources.real, dr.width(block)) for _ in totals]
+        zeros = [dr.zeros(real, dr.width(block)) for _ in totals]
         state = dr.while_loop((start, start + BLOCK, *zeros), lambda j, stop, *_: j < stop, over_block)
         return (block + 1, end, *(t + ad.Float64(p) for t, p in zip(totals, state[2:], strict=True)))
 
@@ -117,6 +117,16 @@ def _sum_over_sources(ad: ModuleType, sources: _Sources, first_block, end_block,
     return dr.while_loop(
         (first_block, end_block, *totals), lambda block, end, *_: block < end, over_blocks
     )[2:]
+
+
+def _sum_over_sources(ad: ModuleType, sources: _Sources, first_block, end_block, outputs: int, add):
+    """:func:`sum_in_blocks` of ``add(accumulators, place, weight)``."""
+    pair = ad.Array2f64 if sources.real is ad.Float64 else ad.Array2f
+
+    def add_source(partial, j):
+        return add(partial, dr.gather(ad.Array4f64, sources.place, j), dr.gather(pair, sources.weight, j))
+
+    return sum_in_blocks(ad, sources.real, first_block, end_block, outputs, add_source)
 
 
 def _add_points(ad: ModuleType, sources: _Sources, a: list, b: list):

@@ -29,7 +29,7 @@ from ..machine.backend import arrays
 from ..machine.progress import tell
 from .area import Area, points_at
 from .coherent_sum import ALONG_EDGE, CERTAINTY, FASTEST, How, SumResult
-from .phasors import WRITE, phasor
+from .phasors import WRITE, phasor, unit_phasor
 from .reference import Sample
 
 PAIR_SECONDS = 8e-9
@@ -146,8 +146,7 @@ def edge_sum(
     sample = Sample.of(field, min(CHECKED_POINTS, len(field)))
     finer = _Line(_Edge(outline), -(-3 * panels // 2), side, wavelength)
     exact = finer.exact_field(local, weights, frame.to_local(points_at(target, sample.index).points()))
-    scale = sample.mean_square or 1.0
-    error = np.sqrt(np.mean(np.abs(field[sample.index] - exact) ** 2 / sample.share) / scale)
+    error = sample.error(field[sample.index], exact)
     # Both know the paths to their last digits only.
     farthest = max(float(np.abs(line.nodes[0]).max()), float(np.abs(local).max()), float(np.abs(points).max()))
     error = np.hypot(error, ROUNDINGS * np.finfo(float).eps * 2 * np.pi * farthest / wavelength)
@@ -239,7 +238,7 @@ class _Line:
         """The source's spherical wave (m,) where it comes through the opening."""
         inside = self.edge.outline.clearance(*self._hits(source, targets).T) > 0
         distance = np.linalg.norm(targets - source, axis=1)
-        return np.where(inside, _wave_over(distance / self.wavelength) / distance, 0.0)
+        return np.where(inside, unit_phasor(distance / self.wavelength) / distance, 0.0)
 
     def _wave(self, source: np.ndarray, targets: np.ndarray, q: np.ndarray, dl: np.ndarray) -> np.ndarray:
         """Sum (m,) over places q (m or 1, k, 2) with line elements dl of what they send to targets (m, 3)."""
@@ -247,7 +246,7 @@ class _Line:
         sx, sy, sz = q[..., 0] - targets[:, :1], q[..., 1] - targets[:, 1:2], -targets[:, 2:]
         r, s = np.sqrt(rx * rx + ry * ry + rz * rz), np.sqrt(sx * sx + sy * sy + sz * sz)
         factor = _factor(rx, ry, rz, sx, sy, sz, r * s, dl[..., 0], dl[..., 1], np.where)
-        wave = _wave_over((r + s) / self.wavelength) * (factor / (r * s))
+        wave = unit_phasor((r + s) / self.wavelength) * (factor / (r * s))
         return self.side * wave.sum(axis=1) / (4 * np.pi)
 
     def _mended(self, source: np.ndarray, targets: np.ndarray, beside: np.ndarray) -> np.ndarray:
@@ -341,11 +340,6 @@ class _Line:
         out = dr.empty(ad.Float64, 2 * count * slices)
         dr.scatter(out, ad.Array2f64(re, im), index, mode=WRITE)
         return np.ascontiguousarray(out.numpy()).view(np.complex128).reshape(slices, count).sum(axis=0)
-
-
-def _wave_over(turns: np.ndarray) -> np.ndarray:
-    angle = 2 * np.pi * (turns - np.round(turns))
-    return np.cos(angle) + 1j * np.sin(angle)
 
 
 def _factor(rx, ry, rz, sx, sy, sz, product, dlx, dly, select):

@@ -1,8 +1,9 @@
-"""The Dr.Jit pieces that the kernels share: phasors of reduced phase, a cheap float64 root, complex products."""
+"""The pieces that sums share: phasors of reduced phase, in Dr.Jit and NumPy, a cheap float64 root, complex products."""
 
 from __future__ import annotations
 
 import drjit as dr
+import numpy as np
 
 WRITE = dr.ReduceMode.NoConflicts
 """Every pixel is written once. Saying so lets Dr.Jit fuse the writes of a run into one kernel instead of one each."""
@@ -59,3 +60,9 @@ def inverse_root(x, float32):
 def multiply(a, b):
     """Complex product of (re, im) pairs."""
     return dr.fma(a[0], b[0], -(a[1] * b[1])), dr.fma(a[0], b[1], a[1] * b[0])
+
+
+def unit_phasor(turns: np.ndarray) -> np.ndarray:
+    """e^{2 pi i turns}, complex128, of ``turns`` (float64 of any size), in NumPy."""
+    angle = 2 * np.pi * (turns - np.round(turns))
+    return np.cos(angle) + 1j * np.sin(angle)

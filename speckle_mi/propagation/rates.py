@@ -78,6 +78,12 @@ class RatePath:
         return lengths[0], amplitudes[0], rate
 
 
+def centre_of_power(sources: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """P0: (3,) where the power |c|^2 of sources (n, 3) with weights (n,) has its centre."""
+    power = np.abs(weights) ** 2
+    return power @ sources / power.sum() if power.sum() > 0 else sources.mean(axis=0)
+
+
 def gradient_at(path: Path, wavelength: float, middle: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """grad_P (ik V + ln A) at the source ``middle`` (3,) towards targets (m, 3), (3, m) complex [1/mm]."""
     places = middle + STEP * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])

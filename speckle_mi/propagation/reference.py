@@ -64,6 +64,12 @@ class Sample:
     share: np.ndarray
     mean_square: float
 
+    def error(self, found: np.ndarray, exact: np.ndarray) -> float:
+        """Relative L2 error of the field, from its values (count,) on the sample and the exact ones."""
+        # The scale is the whole field's: a few points of a speckle pattern do not know it.
+        scale = self.mean_square or float(np.mean(_power(exact))) or 1.0
+        return float(np.sqrt(np.mean(np.abs(found - exact) ** 2 / self.share) / scale))
+
     @classmethod
     def of(cls, field: np.ndarray, count: int) -> Sample:
         """From a field (m,) complex128."""
