@@ -50,11 +50,11 @@ def cost_of(assembly: Assembly, channels: tuple[Channel, ...]) -> Cost:
     scatterers, pixels = expected_scatterers(assembly), assembly.detector.size
     seconds, memory = 0.0, 40.0 * pixels + 80.0 * scatterers
     for channel in channels:
-        openings = zip(channel.openings, channel.gradients, strict=True)
-        nodes = [estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) for rim, gradient in openings]
         if is_along_edge(channel, scatterers, pixels):
             seconds += edge_seconds(channel, scatterers, pixels)
             continue
+        openings = zip(channel.openings, channel.gradients, strict=True)
+        nodes = [estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) for rim, gradient in openings]
         counts = [scatterers, *nodes, pixels]
         for number, (sources, points) in enumerate(zip(counts[:-1], counts[1:], strict=True)):
             seconds += _leg_seconds(sources, points, bool(channel.leg(number)))
@@ -81,7 +81,7 @@ def rim_seconds(rim: Rim, gradient: PhaseGradient, sources: float, points: int) 
 def is_along_edge(channel: Channel, sources: float, points: int) -> bool:
     """Whether the integral over a channel's one opening is done along its edge, as that takes less time."""
     along = edge_seconds(channel, sources, points)
-    if not np.isfinite(along):
+    if along == np.inf:
         return False
     rim, gradient = channel.openings[0], channel.gradients[0]
     nodes = estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt)

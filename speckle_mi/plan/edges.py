@@ -26,7 +26,7 @@ from .legs import leg, straight_on
 from .places import detector_places, hole_places
 from .relay import Relayed, with_windows
 from .setup import Setup
-from .way import Channel, Rim
+from .way import Channel, PhaseGradient, Rim
 
 CUTS = 1.5
 """Fresnel parameter of the nearest ray below which a rim cuts into the light: no share of its wave says how much."""
@@ -165,15 +165,10 @@ def _is_affordable_beside(setup: Setup, channel: Channel, rim: Rim, openings: li
 
 
 def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], spots: np.ndarray) -> bool:
-    before, after = _neighbours(chosen, rim)
-    try:
-        gradient = phase_gradient(
-            channel, rim, before, after, _ends(channel, before, spots), _ends(channel, after, None),
-            setup.assembly.beam.wavelength, 1.0,
-        )  # fmt: skip
-    except InputError:
-        return False
-    return estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) <= AFFORDABLE_NODES
+    gradient = _sampled_gradient(setup, channel, rim, *_neighbours(chosen, rim), spots)
+    return gradient is not None and (
+        estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) <= AFFORDABLE_NODES
+    )
 
 
 def _is_affordable_alone(setup: Setup, channel: Channel, rim: Rim, spots: np.ndarray) -> bool:
@@ -181,13 +176,20 @@ def _is_affordable_alone(setup: Setup, channel: Channel, rim: Rim, spots: np.nda
     (leading, _), (trailing, _) = leg(channel, None, rim), leg(channel, rim, None)
     if leading or trailing or setup.assembly.target.lobe is not None:
         return False
-    ends = _ends(channel, None, spots), _ends(channel, None, None)
-    try:
-        gradient = phase_gradient(channel, rim, None, None, *ends, setup.assembly.beam.wavelength, 1.0)
-    except InputError:
-        return False
+    gradient = _sampled_gradient(setup, channel, rim, None, None, spots)
     scatterers, pixels = expected_scatterers(setup.assembly), channel.grid.size
-    return rim_seconds(rim, gradient, scatterers, pixels) <= AFFORDABLE_SECONDS
+    return gradient is not None and rim_seconds(rim, gradient, scatterers, pixels) <= AFFORDABLE_SECONDS
+
+
+def _sampled_gradient(
+    setup: Setup, channel: Channel, rim: Rim, before: Rim | None, after: Rim | None, spots: np.ndarray
+) -> PhaseGradient | None:
+    """The phase gradient over a rim between two openings as sampled coarsely; None where no ray leads over it."""
+    ends = _ends(channel, before, spots), _ends(channel, after, None)
+    try:
+        return phase_gradient(channel, rim, before, after, *ends, setup.assembly.beam.wavelength, 1.0)
+    except InputError:
+        return None
 
 
 def all_affordable(setup: Setup, channel: Channel, spots: np.ndarray) -> bool:

@@ -289,17 +289,18 @@ class Search:
         """Aims at everything that the rays of a sequence have not met by themselves."""
         if not sequence.starts or not sequence.steps or sequence.inside != AIR:
             return  # from the start itself rays have gone to every face
-        elements, seen = self._meetings.elements, self._seen_from(sequence)
+        elements = self._meetings.elements
+        wanted = self._seen_from(sequence) - sequence.met - {sequence.left}
         arrived = {end for steps, end, _ in self._arrived if steps == sequence.steps}
-        if None not in arrived and None in seen:
+        if None not in arrived and None in wanted:
             self._aim_at(sequence, detector_plane(self._grid).surface, on_pixels(self._grid, SPREAD))
         for number, element in enumerate(elements):
-            if element.kind == "opening" and number not in arrived and (number, 0) in seen - {sequence.left}:
+            if element.kind == "opening" and number not in arrived and (number, 0) in wanted:
                 face = element.faces[0]
                 self._aim_at(sequence, face, on_face(face, False, SPREAD))
         for number, element in enumerate(elements):
             for place, face in enumerate(element.faces if element.kind in ("mirror", "glass") else ()):
-                if (number, place) in seen - sequence.met - {sequence.left}:
+                if (number, place) in wanted:
                     self._aim_at(sequence, *self._plane_at(sequence, face, element.closed))
 
     def _seen_from(self, sequence: _Sequence) -> set[tuple[int, int] | None]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..geometry.pairs import all_pairs
 from ..geometry.plane import PlaneGrid
-from ..optics.aim import aim
+from ..optics.aim import AimedPaths, aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import trace
@@ -56,31 +56,41 @@ def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...
             plane = interactions[stop].surface
             end = Interaction.through(Surface(plane.frame), interactions[stop].index_before)
             goals, size = hole_places(plane, _HOLE_SHARES, _HOLE_ANGLES), plane.outline.half_size
+        leg = Sequence((*between, end))
         if light is None:
-            light = _from_spot(Sequence((*between, end)), spots, goals)
-        elif _goes_straight_on(light, Sequence((*between, end)), goals, size):
-            light = _straight_on(light, Sequence((*between, end)), goals)
+            light = _from_spot(leg, spots, goals)
+        elif _goes_straight_on(light, leg, goals, size):
+            light = _straight_on(light, leg, goals)
         else:
-            light = _thrown(light, Sequence((*between, end)), goals, setup.assembly.beam.wavelength)
+            light = _thrown(light, leg, goals, setup.assembly.beam.wavelength)
     return Strength(False, light.amplitude) if light.thrown else replace(straight, lit=True)
 
 
 def _straight(interactions: tuple[Interaction, ...], grid: PlaneGrid, spots: np.ndarray) -> Strength:
     """Whether a ray from the spot to one of some places on the detector clears all outlines; and how strong it is."""
-    aimed = aim(Sequence((*interactions, detector_plane(grid))), *all_pairs(spots, detector_places(grid)))
+    aimed, clear = _aimed_at_detector(interactions, grid, spots, detector_places(grid))
     found = aimed.converged
     if not np.any(found):
         return Strength(False, 1 / _apart(spots, grid.centre[None]))
     amplitude = float(np.sqrt(np.mean(np.minimum(aimed.amplitude[found], 1e100) ** 2)))
-    return Strength(bool(np.any(np.all(aimed.margins[:, found] >= 0, axis=0))), amplitude)
+    return Strength(bool(np.any(clear)), amplitude)
+
+
+def _aimed_at_detector(
+    interactions: tuple[Interaction, ...], grid: PlaneGrid, spots: np.ndarray, places: np.ndarray
+) -> tuple[AimedPaths, np.ndarray]:
+    """Rays from all places on the spot to all of some places on the detector, and whether they clear all outlines."""
+    aimed = aim(Sequence((*interactions, detector_plane(grid))), *all_pairs(spots, places))
+    return aimed, aimed.converged & np.all(aimed.margins >= 0, axis=0)
 
 
 @dataclass(frozen=True)
 class _Light:
     """What has arrived at places (m, 3) of an opening or the detector.
 
-    directions: (m, 3) it comes from, None where no ray leads there; amplitude [1/mm], the largest; radius of its
-    wavefront [mm]; thrown: whether an edge has sent it there.
+    directions: (m, 3) it comes from, None where no ray leads there; amplitude [1/mm]: of straight light at the place
+    that it is weakest at, or of what an edge throws there, at most; radius of its wavefront [mm]; thrown: whether an
+    edge has sent it there.
     """
 
     places: np.ndarray
@@ -91,26 +101,33 @@ class _Light:
 
 
 def _from_spot(sequence: Sequence, spots: np.ndarray, goals: np.ndarray) -> _Light:
-    starts, ends = all_pairs(spots, goals)
-    aimed = aim(sequence, starts, ends)
+    aimed, arrived = _aimed(sequence, spots, goals)
     good = aimed.converged
     if not np.any(good):
         radius = _apart(spots, goals)
-        return _Light(goals, None, 1 / radius, radius)
+        return _Light(*arrived, 1 / radius, radius)
     amplitude = float(np.min(aimed.amplitude[good]))
-    return _Light(ends[good], aimed.arrival[good], amplitude, 1 / max(amplitude, 1e-300))
+    return _Light(*arrived, amplitude, 1 / max(amplitude, 1e-300))
+
+
+def _aimed(
+    sequence: Sequence, places: np.ndarray, goals: np.ndarray
+) -> tuple[AimedPaths, tuple[np.ndarray, np.ndarray | None]]:
+    """Rays from all places to all goals (k, 3), and where those that there are arrive, and from where: (m, 3) each.
+
+    Where there are none, the goals, and None.
+    """
+    starts, ends = all_pairs(places, goals)
+    aimed = aim(sequence, starts, ends)
+    good = aimed.converged
+    return aimed, ((ends[good], aimed.arrival[good]) if np.any(good) else (goals, None))
 
 
 def _straight_on(light: _Light, sequence: Sequence, goals: np.ndarray) -> _Light:
     """Light that has gone on from an opening to the next place."""
-    starts, ends = all_pairs(light.places, goals)
-    aimed = aim(sequence, starts, ends)
-    good = aimed.converged
+    _, arrived = _aimed(sequence, light.places, goals)
     radius = light.radius + _apart(light.places, goals)
-    amplitude = light.amplitude * light.radius / radius
-    if not np.any(good):
-        return _Light(goals, None, amplitude, radius, light.thrown)
-    return _Light(ends[good], aimed.arrival[good], amplitude, radius, light.thrown)
+    return _Light(*arrived, light.amplitude * light.radius / radius, radius, light.thrown)
 
 
 def _thrown(light: _Light, sequence: Sequence, goals: np.ndarray, wavelength: float) -> _Light:
@@ -120,21 +137,19 @@ def _thrown(light: _Light, sequence: Sequence, goals: np.ndarray, wavelength: fl
     amplitude B, turned by the angle psi, brings A B cot(psi/2)/(4 pi) per length of the edge; about the place where its
     phase stands still a length of sqrt(lambda/(1/r + 1/s)) counts, and there are two such places, one on either side.
     """
-    starts, ends = all_pairs(light.places, goals)
-    directions = None if light.directions is None else np.repeat(light.directions, len(goals), axis=0)
-    aimed = aim(sequence, starts, ends)
-    good = aimed.converged
-    apart = _apart(light.places, goals)
-    if directions is None or not np.any(good):
+    aimed, arrived = _aimed(sequence, light.places, goals)
+    good, apart = aimed.converged, _apart(light.places, goals)
+    if light.directions is None or not np.any(good):
         # No ray leads there: as if at a right angle.
-        turned, onward, found = np.array([1.0]), np.array([1 / apart]), (goals, None)
+        turned, onward, arrived = np.array([1.0]), np.array([1 / apart]), (goals, None)
     else:
-        cosine = np.clip(np.einsum("ij,ij->i", directions[good], aimed.launch[good]), -1.0, 1.0)
+        directions = np.repeat(light.directions, len(goals), axis=0)[good]
+        cosine = np.clip(np.einsum("ij,ij->i", directions, aimed.launch[good]), -1.0, 1.0)
         turned = np.sqrt((1 + cosine) / np.maximum(1 - cosine, 1e-300))
-        onward, found = aimed.amplitude[good], (ends[good], aimed.arrival[good])
+        onward = aimed.amplitude[good]
     length = np.sqrt(wavelength / (1 / light.radius + onward))
     wave = 2 * light.amplitude * np.max(onward * turned * length) / (4 * np.pi)
-    return _Light(*found, min(wave, light.amplitude), apart, thrown=True)
+    return _Light(*arrived, min(wave, light.amplitude), apart, thrown=True)
 
 
 def _goes_straight_on(light: _Light, sequence: Sequence, goals: np.ndarray, size) -> bool:
@@ -158,6 +173,5 @@ def reached_share(channel: Channel, spots: np.ndarray) -> float:
     spots: (m, 3) places that stand for the spot. The root of the share of the detector that it reaches.
     """
     places = detector_places(channel.grid, _SHARE_SIDE)
-    aimed = aim(Sequence((*channel.interactions, detector_plane(channel.grid))), *all_pairs(spots, places))
-    reached = aimed.converged & np.all(aimed.margins >= 0, axis=0)
+    _, reached = _aimed_at_detector(channel.interactions, channel.grid, spots, places)
     return float(np.sqrt(max(np.mean(reached), 0.5 / len(places))))
