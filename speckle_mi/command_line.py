@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 import warnings
@@ -134,6 +135,41 @@ def add_force(made: argparse.ArgumentParser) -> None:
     """The flag of every command that writes results."""
     help_text = "overwrite results that were made with other settings; begin frames of more than 10 minutes"
     made.add_argument("--force", action="store_true", help=help_text)
+
+
+SURFACES = 8
+"""Surfaces that sensitivities are measured on unless asked otherwise."""
+
+
+def add_motions(made: argparse.ArgumentParser, what: str) -> None:
+    """The flag of every command that is about some of the six motions."""
+    from .geometry.pose import DEGREES_OF_FREEDOM
+
+    everything = ",".join(DEGREES_OF_FREEDOM)
+    made.add_argument("--dof", default=everything, metavar=everything, help=f"{what} (default: all six)")
+
+
+def add_surfaces(made: argparse.ArgumentParser) -> None:
+    """The flag of every command that measures on several surfaces, for :func:`surfaces_of`."""
+    help_text = f"number of surfaces (default: {SURFACES}, or 1 where the scene has its own points)"
+    made.add_argument("--seeds", type=int, default=None, help=help_text)
+
+
+def surfaces_of(assembly, arguments: argparse.Namespace) -> int:
+    """How many surfaces are asked for: the user's own points are one, whatever its seed. Raises InputError."""
+    if assembly.target.points is None:
+        return SURFACES if arguments.seeds is None else arguments.seeds
+    if arguments.seeds is not None and arguments.seeds > 1:
+        raise InputError(
+            f"--seeds {arguments.seeds}: must be 1, the target's own points are one surface and no seed makes another"
+        )
+    return 1
+
+
+def require_range(arguments: argparse.Namespace) -> None:
+    """InputError where the width of a range of motions is none."""
+    if not 0 < arguments.range < math.inf:
+        raise InputError(f"--range {arguments.range:g}: must be a finite number above 0 (mm or deg)")
 
 
 def say(arguments: argparse.Namespace, text: str) -> None:

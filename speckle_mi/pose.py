@@ -9,10 +9,9 @@ that of the shifts and from what one surface's sensitivities differ from the mea
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from .command_line import command, parser
+from .command_line import add_motions, command, parser, require_range
 from .errors import InputError
 
 EXAMPLE = """example:
@@ -33,8 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if not summaries:
         raise InputError(f"{shifts}: there must be a summary and a table of shifts (see --help)")
     dofs = motions_named(options.dof)
-    if not 0 < options.range < math.inf:
-        raise InputError(f"--range {options.range:g}: must be a finite number above 0 (mm or deg)")
+    require_range(options)
     if options.out is not None:
         require_output(options.out, ".json")
     detectors = [read_detector(path, dofs) for path in summaries]
@@ -51,14 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parser():
-    from .geometry.pose import DEGREES_OF_FREEDOM
-
     made = parser("pose", "Turns shifts of one or several detectors into the target's motion.")
     made.epilog = EXAMPLE
     files = "SUMMARY.json ... SHIFTS.csv"
     made.add_argument("files", nargs="+", metavar=files, help="sensitivities of each detector, and the shifts")
-    everything = ",".join(DEGREES_OF_FREEDOM)
-    made.add_argument("--dof", default=everything, metavar=everything, help="motions that there are (default: all six)")
+    add_motions(made, "motions that there are")
     made.add_argument(
         "--range", type=float, default=0.2,
         help="width of the range of motions by which what is seen is judged, mm or deg (default: %(default)s)",

@@ -8,14 +8,10 @@ derivatives by the motions, and what is not motion is the pattern's boiling.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
-from .command_line import add_force, command, scene_parser
+from .command_line import add_force, add_motions, add_surfaces, command, require_range, scene_parser, surfaces_of
 from .errors import InputError
-
-SEEDS = 8
-"""Surfaces unless asked for otherwise."""
 
 EXAMPLE = """example:
   python -m speckle_mi.sensitivity scenes/tilted_laser.xml --dof x,ry --precision 1% --out tilted.json"""
@@ -30,8 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     dofs, precision = motions_named(options.dof), _precision(options)
     if options.seeds is not None and options.seeds < 1:
         raise InputError(f"--seeds {options.seeds}: must be at least 1")
-    if not 0 < options.range < math.inf:
-        raise InputError(f"--range {options.range:g}: must be a finite number above 0 (mm or deg)")
+    require_range(options)
     if options.out is not None:
         require_output(options.out, ".json")
     from .scene.load import open_scene
@@ -96,33 +91,23 @@ def _precision(options):
 
 
 def _surfaces(assembly, options) -> int:
-    """How many surfaces there are at first: the user's own points are one, whatever its seed."""
-    if assembly.target.points is None:
-        count = SEEDS if options.seeds is None else options.seeds
-        if options.precision is not None and count < 2:
-            raise InputError(f"--seeds {count}: must be at least 2 with --precision, which rests on their scatter")
-        return count
-    if options.precision is not None:
+    """How many surfaces there are at first."""
+    if options.precision is not None and assembly.target.points is not None:
         raise InputError(
             f"--precision {options.precision}: the target's own points are one surface, and no seed makes another: "
             "leave it out"
         )
-    if options.seeds is not None and options.seeds > 1:
-        raise InputError(
-            f"--seeds {options.seeds}: must be 1, the target's own points are one surface and no seed makes another"
-        )
-    return 1
+    count = surfaces_of(assembly, options)
+    if options.precision is not None and count < 2:
+        raise InputError(f"--seeds {count}: must be at least 2 with --precision, which rests on their scatter")
+    return count
 
 
 def _parser():
-    from .geometry.pose import DEGREES_OF_FREEDOM
-
     made = scene_parser("sensitivity", "Measures sensitivities from one frame a surface.")
     made.epilog = EXAMPLE
-    everything = ",".join(DEGREES_OF_FREEDOM)
-    made.add_argument("--dof", default=everything, metavar=everything, help="motions (default: all six)")
-    seeds_help = f"number of surfaces (default: {SEEDS}, or 1 where the scene has its own points)"
-    made.add_argument("--seeds", type=int, default=None, help=seeds_help)
+    add_motions(made, "motions")
+    add_surfaces(made)
     made.add_argument(
         "--precision", metavar="P",
         help="add surfaces until no 95%% interval along u or v is wider than +- P: 1%% of the largest sensitivity to a "

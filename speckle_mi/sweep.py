@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .command_line import add_force, command, say, scene_parser
+from .command_line import SURFACES, add_force, add_motions, add_surfaces, command, say, scene_parser, surfaces_of
 from .errors import InputError
 from .machine.interrupt import keeping
 
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
 
 SMALLEST_RANGE = 1e-9
 """Least range of a sweep [mm or deg]: places hold fewer digits than a smaller one needs."""
-
-SEEDS = 8
-"""Surfaces of a sweep unless asked for otherwise."""
 
 MAX_FRAMES = 1_000_000
 """Most frames of a sweep."""
@@ -91,17 +88,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parser():
-    from .geometry.pose import DEGREES_OF_FREEDOM
-
     parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
-    everything = ",".join(DEGREES_OF_FREEDOM)
-    parser.add_argument("--dof", default=everything, metavar=everything, help="motions to sweep (default: all six)")
+    add_motions(parser, "motions to sweep")
     parser.add_argument(
         "--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)"
     )
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
-    seeds_help = f"number of surfaces (default: {SEEDS}, or 1 where the scene has its own points)"
-    parser.add_argument("--seeds", type=int, default=None, help=seeds_help)
+    add_surfaces(parser)
     window_help = "side of the correlation window, px (default: 256, less on a small detector; the paper's: 64)"
     parser.add_argument("--window", type=int, default=None, help=window_help)
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
@@ -121,7 +114,7 @@ def _settings(options) -> SweepSettings:
         raise InputError(f"--range {options.range:g}: must be a finite number of at least {least}")
     if options.steps < 2:
         raise InputError(f"--steps {options.steps}: must be at least 2")
-    seeds = SEEDS if options.seeds is None else options.seeds
+    seeds = SURFACES if options.seeds is None else options.seeds
     if seeds < 1:
         raise InputError(f"--seeds {seeds}: must be at least 1")
     if options.window is not None and options.window < 4:
@@ -143,15 +136,10 @@ def _settings(options) -> SweepSettings:
 
 def _surfaces(assembly, options) -> int:
     """How many surfaces are swept: the user's own points are one, whatever its seed."""
-    if assembly.target.points is None:
-        return SEEDS if options.seeds is None else options.seeds
-    if options.seeds is not None and options.seeds > 1:
-        raise InputError(
-            f"--seeds {options.seeds}: must be 1, the target's own points are one surface and no seed makes another"
-        )
-    if options.seeds is None:
+    count = surfaces_of(assembly, options)
+    if assembly.target.points is not None and options.seeds is None:
         say(options, "one surface: the target's own points; intervals rest on the residuals of its frames")
-    return 1
+    return count
 
 
 def _with_seeds(settings: SweepSettings, first: int, count: int) -> SweepSettings:

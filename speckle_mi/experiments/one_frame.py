@@ -16,7 +16,7 @@ from scipy import stats
 from ..field.derivatives import LOOSEST
 from ..field.simulation import Simulation
 from ..geometry.plane import PlaneGrid
-from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
+from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation, sensitivity_unit
 from ..machine.cores import products_on_one_thread
 from ..measurement.sensitivity import CONFIDENCE, Sensitivity
 from ..measurement.velocity import SPECKLES, Flow, PatternVelocity, half_correlation
@@ -157,7 +157,7 @@ def sensitivity_of(
         fits[dof], scatter[dof] = {}, {}
         for row, axis in enumerate(AXES):
             theory = None if expected[axis] is None else float(expected[axis][number])
-            unit = "mm/deg" if is_rotation(dof) else "mm/mm"
+            unit = sensitivity_unit(dof)
             if axis in CENTRE_AXES:
                 fits[dof][axis] = _not_measured(theory, unit)
             else:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..field.simulation import Simulation, plan_of
-from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
+from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, unit_of
 from ..images.exr import read_field, write_field
 from ..images.field_image import FieldImage, FieldImageError
 from ..machine.progress import progress_bars
@@ -167,7 +167,7 @@ def _record(
     return FrameRecord(
         dof=dof,
         displacement=displacement,
-        unit="deg" if dof in DEGREES_OF_FREEDOM and is_rotation(dof) else "mm",
+        unit=unit_of(dof) if dof in DEGREES_OF_FREEDOM else "mm",
         seed=seed,
         shift_u_um=float(u),
         shift_v_um=float(v),

@@ -18,6 +18,16 @@ def is_rotation(dof: str) -> bool:
     return dof.startswith("r")
 
 
+def unit_of(dof: str) -> str:
+    """Unit of a motion."""
+    return "deg" if is_rotation(dof) else "mm"
+
+
+def sensitivity_unit(dof: str) -> str:
+    """Unit of a sensitivity to a motion."""
+    return f"mm/{unit_of(dof)}"
+
+
 def motions_named(text: str, flag: str = "--dof") -> tuple[str, ...]:
     """The degrees of freedom in ``"x,ry"``. Raises InputError for an unknown one, or one that is named twice."""
     names = tuple(name.strip() for name in text.split(","))
@@ -52,9 +62,8 @@ class Pose:
         for name in DEGREES_OF_FREEDOM:
             value = getattr(self, name)
             if not abs(value) <= FARTHEST:
-                unit = "deg" if is_rotation(name) else "mm"
                 raise InputError(
-                    f"pose {name} = {value}: must be a finite number of {unit}, at most {FARTHEST:g} in size"
+                    f"pose {name} = {value}: must be a finite number of {unit_of(name)}, at most {FARTHEST:g} in size"
                 )
 
     @classmethod

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from ..experiments.expectation import CENTRE_AXES
+from ..geometry.pose import sensitivity_unit
 from ..measurement.sensitivity import Sensitivity
-from .sweep_report import unit_of
 from .terminal import print_table, terminal
 
 _ROUNDS_TO_ZERO = 5e-5
@@ -47,7 +47,7 @@ def sensitivity_table(axes: tuple[str, str], summary: dict) -> tuple[list[str], 
     heads = ["motion", "unit", *(f"{axis} {kind}" for axis in axes for kind in ("simulated", "theory")), "scatter (um)"]
     rows = []
     for dof, fitted in summary["fits"].items():
-        row = [dof, unit_of(dof)]
+        row = [dof, sensitivity_unit(dof)]
         for axis in axes:
             row += [_with_interval(fitted[axis]), number(fitted[axis].theory)]
         row.append(" / ".join(number(fitted[axis].scatter_um, "{:.1f}") for axis in axes))

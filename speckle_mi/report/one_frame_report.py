@@ -8,10 +8,10 @@ from ..experiments import published as paper
 from ..experiments.expectation import expected_by_way
 from ..experiments.one_frame import OneFrameSensitivity
 from ..field.simulation import Simulation
-from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
+from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, sensitivity_unit, unit_of
 from ..machine.system import system_information
 from .console import foot_lines, number, sensitivity_table
-from .sweep_report import paper_comparison, unit_of
+from .sweep_report import paper_comparison
 from .terminal import print_table, terminal
 
 
@@ -76,7 +76,7 @@ def print_one_frame(summary: dict) -> None:
     rows = []
     for dof, length in summary["decorrelation_length"].items():
         spread = " / ".join(number(summary["scatter"][dof][axis], "{:.4f}") for axis in ("u", "v"))
-        rows.append([dof, unit_of(dof), spread, f"{summary['boiling'][dof]:.2%}", _length(length, dof)])
+        rows.append([dof, sensitivity_unit(dof), spread, f"{summary['boiling'][dof]:.2%}", _length(length, dof)])
     heads = ["motion", "unit", "scatter of one surface, u / v", "boiling", "correlation 1/2 after"]
     print_table(console, heads, rows, title="How the pattern changes", left=(0, 1))
     for line in foot_lines(summary["fits"], [axis for _, axes in tables for axis in axes]):
@@ -92,5 +92,4 @@ def print_one_frame(summary: dict) -> None:
 
 
 def _length(length: float, dof: str) -> str:
-    unit = "deg" if is_rotation(dof) else "mm"
-    return f"{length:.3g} {unit}" if math.isfinite(length) else "-"
+    return f"{length:.3g} {unit_of(dof)}" if math.isfinite(length) else "-"

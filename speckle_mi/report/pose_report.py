@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.pose import is_rotation
+from ..geometry.pose import unit_of
 from ..measurement.observability import MotionEstimate, Observability
 from .terminal import print_table, terminal
 
@@ -126,13 +126,13 @@ def print_motions(dofs: tuple[str, ...], seen: Observability, estimates: list[Mo
     """Prints what can be told apart, and a row for each motion."""
     console = terminal()
     values = ", ".join(f"{1e3 * value:.3g}" for value in seen.singular_values)
-    sizes = ", ".join(f"{dof} {size:g} {_unit(dof)}" for dof, size in zip(dofs, seen.scale, strict=True))
+    sizes = ", ".join(f"{dof} {size:g} {unit_of(dof)}" for dof, size in zip(dofs, seen.scale, strict=True))
     condition = f"{seen.condition:.3g}" if math.isfinite(seen.condition) else "infinite"
     console.print(f"singular values {values} um for motions of {sizes}; condition number {condition}")
     for row in seen.unseen:
         parts = [f"{share:+.2f} {dof}" for dof, share in zip(dofs, row, strict=True) if abs(share) >= 0.01]
         console.print(f"not seen: {' '.join(parts)} (in these units)")
-    heads = ["motion", *(f"{dof} ({_unit(dof)})" for dof in dofs), "misfit / freedom"]
+    heads = ["motion", *(f"{dof} ({unit_of(dof)})" for dof in dofs), "misfit / freedom"]
     rows = []
     for number, one in enumerate(estimates, start=1):
         sigma = np.sqrt(np.diag(one.covariance))
@@ -142,7 +142,3 @@ def print_motions(dofs: tuple[str, ...], seen: Observability, estimates: list[Mo
         ]
         rows.append([str(number), *cells, f"{one.misfit:.2f} / {one.freedom}"])
     print_table(console, heads, rows, title="Motions, with one standard uncertainty")
-
-
-def _unit(dof: str) -> str:
-    return "deg" if is_rotation(dof) else "mm"

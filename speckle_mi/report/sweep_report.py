@@ -14,7 +14,7 @@ from ..experiments import published as paper
 from ..experiments.expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_correlation, expected_sensitivity
 from ..experiments.sweep_result import FrameRecord, SweepResult, SweepSettings
 from ..field.simulation import plan_of
-from ..geometry.pose import DEGREES_OF_FREEDOM, is_rotation
+from ..geometry.pose import DEGREES_OF_FREEDOM, sensitivity_unit
 from ..machine.files import write_csv, write_json
 from ..machine.system import system_information
 from ..measurement.sensitivity import Sensitivity, fit_sensitivity
@@ -24,11 +24,6 @@ from ..scene.assembly import Assembly
 from .plots import plot_decorrelation, plot_shifts, plot_speckle
 
 _CURVE_POINTS = 101
-
-
-def unit_of(dof: str) -> str:
-    """Unit of a sensitivity to a motion."""
-    return "mm/deg" if is_rotation(dof) else "mm/mm"
 
 
 def write_table(path: str | os.PathLike, records: Iterable[FrameRecord]) -> None:
@@ -96,12 +91,12 @@ def _fit_all(
         column = DEGREES_OF_FREEDOM.index(dof)
         ncc = result.values(dof, "ncc", settings)
         sigma = np.hypot(*(result.values(dof, f"sigma_{axis}_um", settings) for axis in "uv"))
-        fits[dof] = {}
+        fits[dof], unit = {}, sensitivity_unit(dof)
         for axis in AXES:
             theory = None if expected[axis] is None else float(expected[axis][column])
             shifts = result.values(dof, _column(axis), settings)
             known = (ncc, sigma) if axis in PATTERN_AXES else (None, None)
-            fits[dof][axis] = fit_sensitivity(settings.displacements, shifts, known[0], theory, unit_of(dof), known[1])
+            fits[dof][axis] = fit_sensitivity(settings.displacements, shifts, known[0], theory, unit, known[1])
     return fits
 
 
@@ -141,7 +136,7 @@ def paper_comparison(published: paper.PublishedAssembly, fits: dict[str, dict[st
             "paper": value,
             "simulated": abs(fits[dof][axis].value),
             "theory": None if fits[dof][axis].theory is None else abs(fits[dof][axis].theory),
-            "unit": unit_of(dof),
+            "unit": sensitivity_unit(dof),
         }
         for dof, (axis, value) in published.figures.items()
         if dof in fits
