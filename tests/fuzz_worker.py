@@ -48,29 +48,24 @@ def judge_scene(content: bytes, folder: Path) -> tuple[str, str]:
 
 def judge_exr(content: bytes, folder: Path) -> tuple[str, str]:
     from speckle_mi.images.exr import read_field
-    from speckle_mi.images.field_image import FieldImageError
 
-    path = folder / "image.exr"
-    path.write_bytes(content)
-    try:
-        image = read_field(path)
-    except FieldImageError as error:
-        return "refused", str(error)
-    except Exception as error:
-        return "fell over", repr(error)
-    return ("accepted", "") if image.intensity.ndim == 2 else ("fell over", f"shape {image.intensity.shape}")
+    return _judge_image(content, folder / "image.exr", read_field)
 
 
 def judge_picture(content: bytes, folder: Path) -> tuple[str, str]:
-    from speckle_mi.images.field_image import FieldImageError
     from speckle_mi.images.pictures import read_image
     from speckle_mi.machine.quiet import muted
 
-    path = folder / "image"  # what it is says the content, not the name
+    with muted():
+        return _judge_image(content, folder / "image", read_image)  # what it is says the content, not the name
+
+
+def _judge_image(content: bytes, path: Path, read) -> tuple[str, str]:
+    from speckle_mi.images.field_image import FieldImageError
+
     path.write_bytes(content)
     try:
-        with muted():
-            image = read_image(path)
+        image = read(path)
     except FieldImageError as error:
         return "refused", str(error)
     except Exception as error:
