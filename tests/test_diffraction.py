@@ -20,7 +20,7 @@ from scene_builder import detector_frame, direction
 from scipy.special import fresnel
 
 from speckle_mi.geometry.frames import Frame
-from speckle_mi.field.simulation import simulate_frame
+from speckle_mi.field.simulation import Simulation, simulate_frame
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH
@@ -251,3 +251,10 @@ def test_power_through_lens_and_stop_arrives_in_and_out_of_focus(assemble, tmp_p
     caught = np.sum(np.abs(field) ** 2) * pitch**2
     # cos(chi) on the detector is 1 to 2e-4 in this cone.
     assert caught == pytest.approx(power_through_disc(np.zeros(3), stop, 2.0), rel=ENERGY), made.plan
+
+
+def test_the_cost_of_rays_through_a_stop_is_known_beforehand(assemble, tmp_path):
+    xml = element_xml("aperture", "hole", Frame(np.array([0.0, 0, 40.0]), np.eye(3)), radius=0.2)
+    text = bench(tmp_path, np.zeros(3), facing(80), [xml], pixels=(16, 12), method="rays")
+    cost = Simulation(assemble(text)).cost()
+    assert 0 < cost.seconds < 1 and cost.memory > 0

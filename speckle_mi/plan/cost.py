@@ -53,7 +53,8 @@ def cost_of(assembly: Assembly, channels: tuple[Channel, ...]) -> Cost:
         if is_along_edge(channel, scatterers, pixels):
             seconds += edge_seconds(channel, scatterers, pixels)
             continue
-        openings = zip(channel.openings, channel.gradients, strict=True)
+        # Rays are not diffracted: their openings have no gradients, and take no nodes.
+        openings = zip(channel.openings, channel.gradients, strict=False)
         nodes = [estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) for rim, gradient in openings]
         counts = [scatterers, *nodes, pixels]
         for number, (sources, points) in enumerate(zip(counts[:-1], counts[1:], strict=True)):
@@ -65,7 +66,7 @@ def cost_of(assembly: Assembly, channels: tuple[Channel, ...]) -> Cost:
 
 def edge_seconds(channel: Channel, sources: float, points: int) -> float:
     """Of the integral along the edge of a channel's one opening; inf where there is none with only space around it."""
-    if len(channel.openings) != 1 or channel.leg(0) or channel.leg(1):
+    if len(channel.gradients) != 1 or channel.leg(0) or channel.leg(1):
         return np.inf
     return rim_seconds(channel.openings[0], channel.gradients[0], sources, points)
 
