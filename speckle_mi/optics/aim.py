@@ -111,6 +111,8 @@ def aim(
     if sources.shape[0] == 0:
         return _evaluate(sequence, sources, targets, np.empty((3, 0)))
     source, target = sources.T, targets.T
+    if near is None and not any(interaction.bends for interaction in sequence.interactions):
+        near = _straight(sources, targets)
     if near is not None:
         found = _evaluate(sequence, sources, targets, _contract(sequence, source, target, near.T))
         if np.all(found.converged):
@@ -127,6 +129,13 @@ def aim(
         direction[:, rest] = method(sequence, source[:, rest], target[:, rest])
         found = _evaluate(sequence, sources, targets, direction)
     return found
+
+
+def _straight(sources: np.ndarray, targets: np.ndarray) -> np.ndarray | None:
+    """Unit directions (n, 3) from sources to targets, None where one has none."""
+    along = targets - sources
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return along / length if np.all(length > 0) else None
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,11 @@ class Interaction:
             )
 
     @property
+    def bends(self) -> bool:
+        """Whether light goes on in another direction than it came."""
+        return self.action != "pass"
+
+    @property
     def reflects_inside(self) -> bool:
         """Whether light is reflected within a glass, as at total reflection."""
         return self.action == "reflect" and self.index_before != 1.0

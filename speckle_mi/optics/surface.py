@@ -85,6 +85,11 @@ class Surface:
         c = self.curvature
         return np.stack([c * point[0], c * point[1], c * (1.0 + self.conic) * point[2] - 1.0])
 
+    def normals(self, points: np.ndarray) -> np.ndarray:
+        """Unit normals (n, 3) at world points (n, 3) of the surface, along local +z at the vertex."""
+        gradient = self.gradient(self.frame.to_local(points).T)
+        return -(gradient / np.sqrt(dot(gradient, gradient))).T @ self.frame.axes.T
+
     def intersect(
         self, point: np.ndarray, direction: np.ndarray, root: str = "vertex"
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -146,8 +151,8 @@ class Surface:
             b = (c * k * start[2] - 1.0) * cosine
             f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
             q = -(b + np.copysign(np.sqrt(b * b - a * f), b))
-            roots = np.stack([f / q, np.where(a == 0.0, np.nan, q / a)])
-            length = foot + np.sort(roots, axis=0)  # NaN comes last
+            one, two = f / q, np.where(a == 0.0, np.nan, q / a)
+            length = foot + np.stack([np.fmin(one, two), np.maximum(one, two)])  # NaN comes last
             hit = point[None] + length[:, None] * direction
             if not closed:
                 beyond = (1.0 + k) * c * hit[:, 2] >= 1.0

@@ -8,6 +8,7 @@ diffracted at where the integral over it is affordable; else the wave is stated 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from ..geometry.pairs import all_pairs
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
+from ..optics.wavefront import arriving_curvature, leaving_curvature
 from ..propagation.opening_quadrature import estimated_nodes
 from .cost import expected_scatterers, rim_seconds
 from .fresnel import edge_wave, fresnel_distance, fresnel_parameter
@@ -34,10 +36,10 @@ CUTS = 1.5
 SHARE = 0.3
 """Part of the tolerance that the wave of an edge may have and still be left out."""
 
-AFFORDABLE_NODES, AFFORDABLE_SECONDS = 200_000, 2.0
+AFFORDABLE_NODES, AFFORDABLE_SECONDS = 2_000_000, 2.0
 """Nodes, or seconds along its edge, up to which a rim that only touches the light is diffracted at."""
 
-CERTAINLY_TOO_MANY = 10 * AFFORDABLE_NODES
+CERTAINLY_TOO_MANY = 2 * AFFORDABLE_NODES
 """Nodes by the bend of the light alone from which on no closer look is needed."""
 
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
@@ -49,9 +51,6 @@ _LIMITING_SHARE = 0.01
 
 _IN_PLANE = 1e-6
 """Distance [mm] of a rim's plane from where the light comes from or goes to within which no wave has room to spread."""
-
-_STEP = 1e-2
-"""Step over a rim's plane, relative to its size, of the second differences of a path."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +78,13 @@ def chosen_edges(
     alone: Rim | None = None
     light: dict[tuple, _Light] = {}
     known: dict[tuple, EdgeWave] = {}
+    windowed: dict[tuple[Rim, ...], Relayed] = {}
+
+    def relayed_at(rims: list[Rim]) -> Relayed:
+        key = tuple(sorted(rims, key=lambda rim: rim.position))
+        if key not in windowed:
+            windowed[key] = with_windows(setup, channel, list(key), spots)
+        return windowed[key]
 
     def wave(rim: Rim, before: Rim | None, after: Rim | None) -> EdgeWave:
         if (before, after) not in light:
@@ -88,7 +94,7 @@ def chosen_edges(
         return known[rim, before, after]
 
     while True:
-        relayed = with_windows(setup, channel, sorted(openings, key=lambda rim: rim.position), spots)
+        relayed = relayed_at(openings)
         chosen = list(relayed.openings)
         rest = [rim for rim in channel.rims if rim.number not in {one.number for one in chosen}]
         waves = [_between_rims(setup, channel, rim, twin) if (twin := _twin(chosen, rim)) is not None
@@ -100,7 +106,8 @@ def chosen_edges(
         # A stop keeps the light off the rims of glasses: what these do is asked again once the stop is chosen.
         nearest = min(wanted, key=lambda one: (one.v >= CUTS and not one.rim.is_screen, one.v))
         too_steep = estimated_nodes(nearest.rim.plane.outline, nearest.steepness) > CERTAINLY_TOO_MANY
-        if nearest.v < CUTS or (not too_steep and _is_affordable_beside(setup, channel, nearest.rim, openings, spots)):
+        if nearest.v < CUTS or (not too_steep and _is_affordable(
+            setup, channel, nearest.rim, relayed_at([*openings, nearest.rim]).openings, spots)):
             if alone is not None:  # it could be afforded only as long as there was no other
                 openings.remove(alone)
                 unaffordable.add(alone.number)
@@ -158,14 +165,10 @@ def _counts(setup: Setup, one: EdgeWave) -> bool:
     return one.v < CUTS or (np.isfinite(one.v) and one.wave > SHARE * setup.assembly.options.tolerance)
 
 
-def _is_affordable_beside(setup: Setup, channel: Channel, rim: Rim, openings: list[Rim], spots: np.ndarray) -> bool:
-    """Whether a rim can be diffracted at beside these openings, with the windows that it needs."""
-    together = with_windows(setup, channel, sorted([*openings, rim], key=lambda one: one.position), spots)
-    return _is_affordable(setup, channel, rim, [one for one in together.openings if one is not rim], spots)
-
-
-def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: list[Rim], spots: np.ndarray) -> bool:
-    gradient = _sampled_gradient(setup, channel, rim, *_neighbours(chosen, rim), spots)
+def _is_affordable(setup: Setup, channel: Channel, rim: Rim, chosen: Iterable[Rim], spots: np.ndarray) -> bool:
+    """Whether a rim can be diffracted at beside the other chosen ones."""
+    others = [one for one in chosen if one is not rim]
+    gradient = _sampled_gradient(setup, channel, rim, *_neighbours(others, rim), spots)
     return gradient is not None and (
         estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) <= AFFORDABLE_NODES
     )
@@ -216,11 +219,26 @@ def _ends(channel: Channel, rim: Rim | None, spots: np.ndarray | None) -> np.nda
 
 @dataclass(frozen=True)
 class _Light:
-    """Rays from places on one opening, or the spot, to places on the next, or the detector: (n, 3) each."""
+    """Rays from places on one opening, or the spot, to places on the next, or the detector.
+
+    starts, launch: (n, 3); places: (s, n, 3) of the starts, of what they meet between, and of the ends.
+    """
 
     starts: np.ndarray
-    ends: np.ndarray
     launch: np.ndarray
+    places: np.ndarray
+
+    def hits(self, rim: Rim, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where the rays cross a rim's plane behind their ``number``-th face, and their unit directions there, (n, 3).
+
+        Rays that go no way between the faces cross it where they are, in no direction (NaN).
+        """
+        start, along = self.places[number], self.places[number + 1] - self.places[number]
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        direction = along / np.where(length > _IN_PLANE, length, np.nan)
+        frame = rim.plane.frame
+        ahead = (frame.origin - start) @ frame.axes[:, 2] / (direction @ frame.axes[:, 2])
+        return np.where(np.isfinite(ahead[:, None]), start + ahead[:, None] * direction, start), direction
 
 
 def _light_between(channel: Channel, before: Rim | None, after: Rim | None, spots: np.ndarray) -> _Light:
@@ -228,8 +246,9 @@ def _light_between(channel: Channel, before: Rim | None, after: Rim | None, spot
     starts, ends = all_pairs(_ends(channel, before, spots), _ends(channel, after, None))
     faces, end = leg(channel, before, after)
     aimed = aim(Sequence((*faces, end)), starts, ends)
-    good = aimed.converged
-    return _Light(starts[good], ends[good], aimed.launch[good])
+    starts, launch = starts[aimed.converged], aimed.launch[aimed.converged]
+    met = trace(Sequence((*faces, end)), starts, launch).points
+    return _Light(starts, launch, np.concatenate([starts[None], met]))
 
 
 def _edge_wave(
@@ -244,17 +263,14 @@ def _edge_wave(
             and np.abs(rim.plane.frame.to_local(places)[:, 2]).max() < _IN_PLANE
         ):
             return EdgeWave(rim, np.inf, 0.0)
-    starts, ends, launch = light.starts, light.ends, light.launch
-    if not len(starts):
+    if not len(light.starts):
         return EdgeWave(rim, np.inf, 0.0)  # no light between these two comes over it
-    points = trace(Sequence((*leading, rim.end, *trailing, end)), starts, launch).points
-    hits = points[len(leading)]
+    hits, onward = light.hits(rim, len(leading))
     x, y, _ = rim.plane.frame.to_local(hits).T
     outline = rim.plane.outline
     nearest = int(np.nanargmin(outline.clearance(x, y)))
-    one = slice(nearest, nearest + 1)
-    on = points[len(leading) :, one]
-    curvature = _curvature(rim, leading, trailing, end, starts[one], ends[one], on, launch[one])
+    ray = light.starts[nearest], light.launch[nearest], hits[nearest], onward[nearest], light.places[-1, nearest]
+    curvature = _curvature(rim, leading, trailing, end, *ray)
     scale = np.sqrt(2 * curvature / setup.assembly.beam.wavelength)
     v = float(outline.clearance(x, y)[nearest] * scale)
     if v <= 0:
@@ -327,28 +343,18 @@ def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None)
     return float(edge_wave(fresnel_parameter(aside, length, setup.assembly.beam.wavelength)))
 
 
-def _curvature(
-    rim: Rim, leading, trailing, end, source: np.ndarray, target: np.ndarray, points: np.ndarray, launch: np.ndarray
-) -> float:
-    """Smallest curvature [1/mm] of the path source - point of the rim's plane - target around the ray's own point.
+def _curvature(rim: Rim, leading, trailing, end, source, launch, hit, onward, target) -> float:
+    """Smallest curvature [1/mm] of the path source - point of the rim's plane - target, along the plane's axes.
 
-    points: (s, 1, 3) of the ray from the rim's plane on; launch: (1, 3) from the source.
+    source, hit, target: (3,) of a ray, launch, onward: (3,) its directions at the source and at the rim's plane.
     """
-    hit = points[0]
-    frame = rim.plane.frame
-    middle = frame.to_world(frame.to_local(hit) * [1, 1, 0])
-    step = _STEP * min(rim.plane.outline.half_size)
-    offsets = np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]]) * step
-    places = middle + offsets[:, :1] * frame.axes[:, 0] + offsets[:, 1:] * frame.axes[:, 1]
-    onward = (points[1] - hit) / np.maximum(np.linalg.norm(points[1] - hit), 1e-300)
-    source, target, launch, onward = (np.broadcast_to(one, places.shape) for one in (source, target, launch, onward))
-    length = aim(Sequence((*leading, rim.end)), source, places, launch).optical_path_length
-    length = length + aim(Sequence((*trailing, end)), places, target, onward).optical_path_length
-    second = [(length[k] + length[k + 1] - 2 * length[0]) / step**2 for k in (1, 3)]
+    before = arriving_curvature(Sequence((*leading, rim.end)), source, launch)
+    behind = leaving_curvature(Sequence((*trailing, end)), rim.plane.frame, hit, onward)
+    second = np.diag(before + behind)
     if np.all(np.isfinite(second)):
         return float(np.min(np.abs(second)))
     # Where what lies close by lets no ray through aside, the nearer of the two ends tells how waves spread.
-    return float(1 / max(np.linalg.norm(hit - source[0]), 1e-12) + 1 / max(np.linalg.norm(target[0] - hit), 1e-12))
+    return float(1 / max(np.linalg.norm(hit - source), 1e-12) + 1 / max(np.linalg.norm(target - hit), 1e-12))
 
 
 def _rim_points(rim: Rim, count: int) -> np.ndarray:

@@ -17,7 +17,7 @@ from .way import Channel, Rim, without_rims
 def leg(channel: Channel, before: Rim | None, after: Rim | None) -> tuple[tuple[Interaction, ...], Interaction]:
     """What refracts and reflects on a leg, as if surfaces went on beyond their rims, and the plane where it ends."""
     first, last = leg_limits(channel, before, after)
-    between = without_rims(i for i in channel.interactions[first:last] if i.action != "pass")
+    between = without_rims(i for i in channel.interactions[first:last] if i.bends)
     return between, after.end if after else detector_plane(channel.grid)
 
 

@@ -43,6 +43,9 @@ RAYS_KEPT = 64
 _ACROSS = 7
 """Places a side on a face that rays are sent to."""
 
+_SHARED = 3
+"""Places of a start that share the places on faces among them."""
+
 _AIMED = 3
 """Rounds in which the middle of a narrow way is closed in on."""
 
@@ -150,9 +153,11 @@ class Search:
     # Following
 
     def _send(self, points: np.ndarray, targets: np.ndarray) -> None:
-        """Follows rays from every point (m, 3) towards every target (k, 3)."""
+        """Follows rays from the first of points (m, 3) towards every target (k, 3), from the others to a part each."""
         starts, ends = all_pairs(points, targets)
-        self._follow(starts, ends - starts)
+        source, target = np.divmod(np.arange(len(starts)), len(targets))
+        sent = (source == 0) | ((target + source) % _SHARED == 0)
+        self._follow(starts[sent], (ends - starts)[sent])
 
     def _follow(self, starts: np.ndarray, launches: np.ndarray) -> None:
         """Follows rays to their ends, noting every sequence that they take."""
@@ -305,12 +310,15 @@ class Search:
 
     def _seen_from(self, sequence: _Sequence) -> set[tuple[int, int] | None]:
         """What is in sight of the face that light over a sequence comes from, where its rays leave it or elsewhere."""
-        number, face = sequence.left
-        last = self._meetings.elements[number].faces[face]
-        hits = trace(Sequence(sequence.interactions), *self._rays_of(sequence)).points[-1]
-        hits = hits[np.all(np.isfinite(hits), axis=1)][:: max(1, len(hits) // len(SPREAD))]
-        points = np.concatenate([hits, on_face(last, self._meetings.elements[number].closed, SPREAD)])
-        return in_sight(self._meetings, points, sequence.left)
+        number, place = sequence.left
+        face = self._meetings.elements[number].faces[place]
+        traced = trace(Sequence(sequence.interactions), *self._rays_of(sequence))
+        some = np.flatnonzero(np.all(np.isfinite(traced.points[-1]), axis=1))
+        hits, leaving = traced.points[-1, some], traced.directions[some]
+        side = np.sign(np.median(np.sum(face.normals(hits) * leaving, axis=1)))
+        hits = hits[:: max(1, len(hits) // len(SPREAD))]
+        points = np.concatenate([hits, on_face(face, self._meetings.elements[number].closed, SPREAD)])
+        return in_sight(self._meetings, points, side * face.normals(points), sequence.left)
 
     def _plane_at(self, sequence: _Sequence, face: Surface, closed: bool) -> tuple[Surface, np.ndarray]:
         """A plane through a face, and places on it that are aimed at."""
@@ -329,8 +337,6 @@ class Search:
 
     def _aim_at(self, sequence: _Sequence, plane: Surface, targets: np.ndarray) -> None:
         """Follows the rays over a sequence that are aimed at targets (k, 3) in a plane, closing in on a narrow way."""
-        if not self._may_reach(sequence, targets):
-            return
         frame = plane.frame
         centre, spread = targets[0], targets - targets[0]
         for round_ in range(_AIMED):
@@ -353,7 +359,7 @@ class Search:
         margin = np.full(len(places), np.nan)
         system = Sequence((*self._placed(sequence), Interaction.through(plane, self._index(sequence))))
         if sequence.has_power:
-            aimed = aim(system, source, places)
+            aimed = aim(system, source, places, self._nearest(sequence, system, source, places))
             good = aimed.converged
             margin[good] = aimed.margins[:, good].min(axis=0) if len(aimed.margins) else 1.0
             return np.nan_to_num(aimed.launch), margin
@@ -363,6 +369,13 @@ class Search:
         margin[good] = traced.margins[:, good].min(axis=0) if len(traced.margins) else 1.0
         return launches, margin
 
+    def _nearest(self, sequence: _Sequence, system: Sequence, source: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Launch directions (k, 3) of the rays over a sequence that pass closest to places (k, 3)."""
+        known = self._rays_of(sequence)[1]
+        landed = trace(system, np.broadcast_to(source[0], known.shape), known).points[-1]
+        apart = np.linalg.norm(landed[None] - places[:, None], axis=2)
+        return known[np.argmin(np.where(np.isnan(apart), np.inf, apart), axis=1)]
+
     def _placed(self, sequence: _Sequence) -> tuple[Interaction, ...]:
         return with_places(sequence.interactions, *self._rays_of(sequence))
 
@@ -371,17 +384,6 @@ class Search:
 
     def _rays_of(self, sequence: _Sequence) -> tuple[np.ndarray, np.ndarray]:
         return np.concatenate(sequence.starts), np.concatenate(sequence.launches)
-
-    def _may_reach(self, sequence: _Sequence, targets: np.ndarray) -> bool:
-        """Whether any target lies on the side of the last face that light leaves to, as far as planes tell."""
-        last = sequence.interactions[-1]
-        if not last.surface.is_plane:
-            return True
-        starts, launches = self._rays_of(sequence)
-        going = trace(Sequence(sequence.interactions), starts, launches).directions @ last.surface.frame.axes[:, 2]
-        side = np.sign(np.nanmedian(going))
-        heights = (targets - last.surface.frame.origin) @ last.surface.frame.axes[:, 2]
-        return bool(np.any(side * heights > -COINCIDENT))
 
 
 def _mirror(interaction: Interaction) -> Interaction:

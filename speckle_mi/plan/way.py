@@ -85,7 +85,7 @@ class Channel:
     @property
     def has_power(self) -> bool:
         """Whether anything on the way refracts or reflects light, plane mirrors apart."""
-        return any(interaction.action != "pass" for interaction in self.interactions)
+        return any(interaction.bends for interaction in self.interactions)
 
     @property
     def viewpoint(self) -> np.ndarray:
@@ -96,7 +96,7 @@ class Channel:
         """The refracting and reflecting interactions between point set ``number`` and the next."""
         first = self.openings[number - 1].position if number > 0 else 0
         last = self.openings[number].position if number < len(self.openings) else len(self.interactions)
-        return tuple(i for i in self.interactions[first:last] if i.action != "pass")
+        return tuple(i for i in self.interactions[first:last] if i.bends)
 
 
 def without_rims(interactions: Iterable[Interaction]) -> tuple[Interaction, ...]:
