@@ -26,7 +26,7 @@ from scipy.special import fresnel
 from speckle_mi.field import stages as fields
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.field.simulation import simulate_frame
+from speckle_mi.field.simulation import Simulation, simulate_frame
 
 WAVELENGTH = 632.8e-6
 FIELD = 1e-5  # Relative L2 over the pixels that are clear of a shadow's edge by more than the next figure.
@@ -281,3 +281,12 @@ def test_edge_near_the_light_is_told_with_the_wave_that_is_left_out(assemble, tm
     left_out = np.abs((1 - 1j) / 2 * (0.5 + c + 1j * (0.5 + s)) - 1)
     share = float(told[0].split("at most ")[1].split("%")[0]) / 100
     assert left_out.max() <= 1.2 * share and share <= 6 * left_out.max()
+
+
+def test_edge_that_counts_and_is_left_out_tells_its_cost_and_the_tolerance_that_does_without(shipped):
+    assembly = shipped("folded")
+    told = [line for line in Simulation(assembly).plan().lines if "diffracts nothing" in line]
+    assert "diffraction at it would take about" in told[0]
+    advised = float(told[0].split("a tolerance of ")[1].split(" does without")[0])
+    kept = [line for line in Simulation(assembly.with_options(tolerance=advised)).plan().lines if "edge" in line]
+    assert "would take" not in kept[0]

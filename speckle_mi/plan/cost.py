@@ -64,6 +64,13 @@ def cost_of(assembly: Assembly, channels: tuple[Channel, ...]) -> Cost:
     return Cost(assembly.sub_pixels**2 * seconds, memory)
 
 
+def opening_cost(assembly: Assembly, nodes: float) -> Cost:
+    """Of one more opening of so many nodes on a way over elements."""
+    scatterers, pixels = expected_scatterers(assembly), assembly.detector.size
+    legs = _leg_seconds(scatterers, nodes, True) + _leg_seconds(nodes, pixels, True)
+    return Cost(assembly.sub_pixels**2 * (NODE_SECONDS * nodes + legs), NODE_BYTES * nodes)
+
+
 def edge_seconds(channel: Channel, sources: float, points: int) -> float:
     """Of the integral along the edge of a channel's one opening; inf where there is none with only space around it."""
     if len(channel.gradients) != 1 or channel.leg(0) or channel.leg(1):

@@ -19,9 +19,11 @@ from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import trace
 from ..optics.unfold import unfold
 from ..propagation.coherent_sum import CERTAINTY
+from ..propagation.opening_quadrature import estimated_nodes
 from .setup import Setup
 from ..scene.errors import SceneError
-from .edges import SHARE, all_affordable, chosen_edges, limiting_rims
+from .cost import opening_cost
+from .edges import SHARE, EdgeWave, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
 from .gradients import phase_gradients
 from .places import points_on
@@ -272,13 +274,31 @@ def _openings(setup: Setup, channel: Channel) -> tuple[tuple[Rim, ...], list[Sta
         total = min(1.0, CERTAINTY * float(np.sqrt(sum(one.wave**2 for one in waves))))
         reason = (
             f"the nearest edge, of {left.rim.name}, is clear of the light "
-            f"(the edges' waves are at most about {total:.1%} of the field)"
+            f"(the edges' waves are at most about {100 * total:.2g}% of the field{_what_it_takes(setup, left)})"
         )
         kind = CLEAR if chosen else NOT_DIFFRACTED
         stages.append(Stage(kind, (left.rim.name,), reason=reason, predicted_error=total))
     elif not chosen:
         stages.append(Stage(NOT_DIFFRACTED, reason="no edge lies in the light"))
     return chosen, stages
+
+
+def _what_it_takes(setup: Setup, left: EdgeWave) -> str:
+    """What diffraction at an edge would cost that is left out although it counts; empty where it does not count."""
+    tolerance = setup.assembly.options.tolerance
+    if not np.isfinite(left.v) or left.wave <= SHARE * tolerance:
+        return ""
+    nodes = estimated_nodes(left.rim.plane.outline, left.steepness)
+    return (
+        f"; diffraction at it would take {opening_cost(setup.assembly, nodes)} or more, a tolerance of "
+        f"{_rounded_up(left.wave / SHARE)} does without"
+    )
+
+
+def _rounded_up(value: float) -> str:
+    """A figure of two digits that is not below ``value``."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - 1)
+    return f"{np.ceil(value / unit) * unit:.2g}"
 
 
 def _first_opening(setup: Setup, channel: Channel, why: str) -> list[Rim]:
