@@ -1,6 +1,6 @@
 """Random scenes with elements against independent optics: none dark, none off by more than its stated error.
 
-``pytest tests/test_random_ways.py`` judges SAMPLE scenes of the ENABLED kinds. ``python tests/test_random_ways.py``
+``pytest tests/test_random_ways.py`` judges SAMPLE scenes of all kinds. ``python tests/test_random_ways.py``
 judges all 300 (or ``--kind``, ``--numbers``) and prints a table. A scene holds when the field on its compared pixels
 differs from the reference, one global phase removed, by no more than the stated ``numerical_error``, or what single
 precision stores, and the reference's own error. The stated error is one of the whole frame's L2 norm, so the scale is
@@ -24,13 +24,6 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import random_ways  # noqa: E402
-
-LEFT_TO_THE_COMMAND = ("sphere_inside",)
-"""Kinds whose reference leaves out light that the package finds: sent to one pixel by several parts of a hollow
-sphere."""
-
-ENABLED = tuple(kind for kind in random_ways.KINDS if kind not in LEFT_TO_THE_COMMAND)
-"""Kinds that the sample holds."""
 
 SAMPLE = 60
 """Scenes judged in a run of the tests; the command judges all."""
@@ -128,8 +121,8 @@ class _no_longer_than:
 
 
 def sampled():
-    """Numbers of SAMPLE scenes (fewer where there are not so many) spread evenly over the ENABLED kinds' scenes."""
-    numbers = random_ways.numbers_of(ENABLED)
+    """Numbers of SAMPLE scenes (fewer where there are not so many) spread evenly over all kinds' scenes."""
+    numbers = random_ways.numbers_of(random_ways.KINDS)
     if len(numbers) <= SAMPLE:
         return numbers
     return [numbers[i] for i in np.linspace(0, len(numbers) - 1, SAMPLE).round().astype(int)]

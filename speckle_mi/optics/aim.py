@@ -131,6 +131,23 @@ def aim(
     return found
 
 
+def rays_between(
+    sequence: Sequence, source: np.ndarray, target: np.ndarray, starts: np.ndarray, apart: float
+) -> np.ndarray:
+    """Launch directions (k, 3) of all rays from ``source`` to ``target`` (3,) that Newton's method finds.
+
+    starts: (n, 3) unit directions that it begins at; apart: angle [rad] from which on two rays are not the same.
+    """
+    origin, aims = (np.repeat(place[:, None], len(starts), axis=1) for place in (source, target))
+    direction = _newton(sequence, origin, aims, starts.T)
+    _, status, _ = _follow(sequence, origin, direction)
+    found: list[np.ndarray] = []
+    for one in direction.T[status <= RayStatus.OUTSIDE_OUTLINE]:
+        if all(np.linalg.norm(one - other) > apart for other in found):
+            found.append(one)
+    return np.array(found).reshape(-1, 3)
+
+
 def _straight(sources: np.ndarray, targets: np.ndarray) -> np.ndarray | None:
     """Unit directions (n, 3) from sources to targets, None where one has none."""
     along = targets - sources

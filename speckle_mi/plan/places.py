@@ -69,6 +69,23 @@ def on_plane(frame: Frame, half: np.ndarray, share: np.ndarray, middle: tuple[fl
     return frame.to_world(np.column_stack([local, np.zeros(len(share))]))
 
 
+def plane_at(
+    face: Surface, closed: bool, seen_from: np.ndarray, share: np.ndarray
+) -> tuple[Surface, np.ndarray]:
+    """A plane through a face, or across a closed one seen from a place (3,), and the places (k, 3) of shares on it."""
+    if face.is_plane:
+        return face, on_face(face, False, share)
+    if not closed:
+        sag = float(face.sag(np.array((0.7 * face.outline.reach) ** 2)))
+        plane = Surface(Frame(face.frame.origin + sag * face.frame.axes[:, 2], face.frame.axes))
+        return plane, on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), share, face.outline.centre)
+    radius = 1 / abs(face.curvature)
+    centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+    axis = (centre - seen_from) / max(np.linalg.norm(centre - seen_from), 1e-300)
+    plane = Surface(Frame(centre, axes_along(axis)))
+    return plane, on_plane(plane.frame, 0.9 * np.array([radius, radius]), share, (0.0, 0.0))
+
+
 def points_on(face: Surface) -> np.ndarray:
     """World points (n, 3) spread over a face inside its rim, or over half of a sphere."""
     number = np.arange(_FAN_SIDE**2) + 0.5

@@ -16,17 +16,16 @@ from ..geometry.pairs import all_pairs
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
-from ..optics.trace import trace
 from ..optics.unfold import unfold
 from ..propagation.coherent_sum import CERTAINTY
 from ..propagation.opening_quadrature import estimated_nodes
 from .setup import Setup
 from ..scene.errors import SceneError
+from .branches import branches_of, has_other_rays
 from .cost import opening_cost
 from .edges import SHARE, EdgeWave, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
 from .gradients import phase_gradients
-from .places import points_on
 from .relay import NEAR_CAUSTIC
 from .routes import Route, find_routes
 from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
@@ -52,9 +51,6 @@ from .way import Channel, PhaseGradient, Rim, rims_of, with_slack
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
-
-_SAME_RAY = 1e-6
-"""Angle [rad] up to which two rays to one place are the same."""
 
 _HALF_LIT = 0.5
 """Part of the light's amplitude at the very edge of a shadow."""
@@ -97,7 +93,7 @@ def make_plan(setup: Setup) -> Plan:
     blocker = _main_blocker(arrivals.stopped)
     if not arrivals.routes:
         return Plan((), (Stage(NO_WAY, reason=blocker),), (f"no light reaches the detector: {blocker}",))
-    bare = [_bare(setup, route) for route in arrivals.routes]
+    bare = [branch for route in arrivals.routes for branch in branches_of(setup, _bare(setup, route))]
     strengths = [strength_of(setup, one.route, one.interactions, one.grid, spots) for one in bare]
     lit = arrivals.in_area and any(strength.lit for strength in strengths)
     channels, stages = _channels(setup, bare, strengths) if lit else ([_channel(setup, one) for one in bare], [])
@@ -110,8 +106,13 @@ def make_plan(setup: Setup) -> Plan:
 
 
 def _is_devious(channel: Channel) -> bool:
-    """Whether light is totally reflected inside a glass on a way, which nobody builds a sensor on."""
-    return any(interaction.reflects_inside for interaction in channel.route.interactions)
+    """Whether light is totally reflected inside a glass on a way, or twice inside a hollow mirror, one after the other.
+
+    Nobody builds a sensor on that, and there is no end of it.
+    """
+    steps = channel.route.steps
+    twice = any(a == b and a[2] == "reflect" for a, b in zip(steps, steps[1:], strict=False))
+    return twice or any(interaction.reflects_inside for interaction in channel.route.interactions)
 
 
 def _channels(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> tuple[list[Channel], list[Stage]]:
@@ -337,23 +338,6 @@ def _why_not_geometric(setup: Setup, channel: Channel) -> str:
         return "a focus or caustic lies at the detector"
     if not np.all(found):
         return "rays reach only a part of the detector (the way ends at a surface's edge or at total reflection)"
-    if channel.has_power and _several_rays(channel, setup.spots[0]):
+    if channel.has_power and has_other_rays(setup, channel):
         return "several rays reach the same pixel, inside a caustic,"
     return ""
-
-
-def _several_rays(channel: Channel, spot: np.ndarray) -> bool:
-    """Whether a fan of rays from the spot's middle finds a second ray to a pixel, besides the one aimed at it."""
-    fan = points_on(channel.interactions[0].surface) - spot
-    sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
-    traced = trace(sequence, np.broadcast_to(spot, fan.shape), fan)
-    grid, end = channel.grid, traced.points[-1] - channel.grid.centre
-    half_u, half_v = grid.half_size
-    lands = traced.valid & (np.abs(end @ grid.u) <= half_u) & (np.abs(end @ grid.v) <= half_v)
-    if not np.any(lands):
-        return False
-    places = traced.points[-1, lands]
-    aimed = aim(sequence, np.broadcast_to(spot, places.shape), places)
-    directions = fan[lands] / np.linalg.norm(fan[lands], axis=1, keepdims=True)
-    apart = np.linalg.norm(aimed.launch - directions, axis=1)
-    return bool(np.any(apart[aimed.converged] > _SAME_RAY))

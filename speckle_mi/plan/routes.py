@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,13 +32,15 @@ class Route:
     """One way from the target to the detector.
 
     names: the elements' names in order; interactions: what happens at each of their surfaces; rays: how many of the
-    test rays took it, at its narrowest; steps: (element, face, action, root) of every interaction.
+    test rays took it, at its narrowest; steps: (element, face, action, root) of every interaction; launches: (n, 3)
+    unit, of the test rays that took it, or its first part up to an opening.
     """
 
     names: tuple[str, ...]
     interactions: tuple[Interaction, ...]
     rays: int
     steps: tuple[Step, ...] = ()
+    launches: np.ndarray = field(default_factory=lambda: np.empty((0, 3)), compare=False, repr=False)
 
     @property
     def label(self) -> str:
@@ -65,18 +67,13 @@ def find_routes(setup: Setup, spots: np.ndarray) -> Arrivals:
     spots: (m, 3) places that stand for all that scatters, the middle first. Where there is no route, those that pass
     the detector's area by are given: diffraction at the rims on them may still reach it.
     """
-    paths = _Paths(Meetings(setup), spots, _front(setup))
+    paths = _Paths(Meetings(setup), spots, setup.front)
     routes = [_route(setup, path) for path in paths.to_detector()]
     routes = sorted(_distinct(routes), key=lambda route: -route.rays)
     if routes:
         return Arrivals(tuple(routes), True, paths.stopped)
     beside = [_route(setup, (chain,)) for chain in paths.beside()]
     return Arrivals(tuple(beside), False, paths.stopped)
-
-
-def _front(setup: Setup) -> np.ndarray | None:
-    """The side that the target radiates to; the user's own scatterers radiate to all."""
-    return None if setup.assembly.target.points is not None else setup.spot.normal
 
 
 class _Paths:
@@ -131,7 +128,8 @@ def _route(setup: Setup, path: tuple[Chain, ...]) -> Route:
             steps.append((chain.end, 0, "pass", "vertex"))
             interactions.append(Interaction.through(elements[chain.end].faces[0], index))
     names = tuple(elements[number].name for number, *_ in steps)
-    return Route(names, tuple(_with_slack(interactions)), min(chain.rays for chain in path), tuple(steps))
+    rays = min(chain.rays for chain in path)
+    return Route(names, tuple(_with_slack(interactions)), rays, tuple(steps), path[0].launches)
 
 
 def _with_slack(interactions: list[Interaction]) -> list[Interaction]:

@@ -14,14 +14,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..geometry.frames import Frame
 from ..geometry.pairs import all_pairs
-from ..optics.aim import aim
+from ..optics.aim import aim, rays_between
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
 from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings
-from .places import axes_along, on_face, on_pixels, on_plane, with_places
+from .places import on_face, on_pixels, plane_at, with_places
 from .sight import SPREAD, in_sight
 from .unfolding import launch_over_planes
 
@@ -31,8 +30,8 @@ MAX_INTERACTIONS = 32
 MOST_SEQUENCES = 400
 """Sequences of faces from one start that are looked into: facing mirrors have no end of them."""
 
-MOST_REFLECTIONS = 1
-"""Reflections one after the other at the inside of one closed mirror."""
+MOST_REFLECTIONS = 2
+"""Reflections one after the other at the inside of one closed mirror that are followed."""
 
 MOST_TOTAL = 3
 """Total reflections one after the other inside a glass that are followed."""
@@ -42,6 +41,9 @@ RAYS_KEPT = 64
 
 _ACROSS = 7
 """Places a side on a face that rays are sent to."""
+
+SAME_RAY = 1e-6
+"""Angle [rad] up to which two rays to one place are the same."""
 
 _SHARED = 3
 """Places of a start that share the places on faces among them."""
@@ -107,6 +109,15 @@ class _Sequence:
             some = slice(None, None, max(1, len(starts) // (RAYS_KEPT - held)))
             self.starts.append(starts[some])
             self.launches.append(launches[some])
+
+    @property
+    def last_place(self) -> np.ndarray:
+        """(3,) where its light comes from."""
+        return self.interactions[-1].place if self.interactions else self.starts[0][0]
+
+    @property
+    def is_closed(self) -> bool:
+        return any(interaction.root != "vertex" for interaction in self.interactions)
 
     @property
     def has_power(self) -> bool:
@@ -306,7 +317,7 @@ class Search:
         for number, element in enumerate(elements):
             for place, face in enumerate(element.faces if element.kind in ("mirror", "glass") else ()):
                 if (number, place) in wanted:
-                    self._aim_at(sequence, *self._plane_at(sequence, face, element.closed))
+                    self._aim_at(sequence, *plane_at(face, element.closed, sequence.last_place, SPREAD))
 
     def _seen_from(self, sequence: _Sequence) -> set[tuple[int, int] | None]:
         """What is in sight of the face that light over a sequence comes from, where its rays leave it or elsewhere."""
@@ -320,25 +331,12 @@ class Search:
         points = np.concatenate([hits, on_face(face, self._meetings.elements[number].closed, SPREAD)])
         return in_sight(self._meetings, points, side * face.normals(points), sequence.left)
 
-    def _plane_at(self, sequence: _Sequence, face: Surface, closed: bool) -> tuple[Surface, np.ndarray]:
-        """A plane through a face, and places on it that are aimed at."""
-        if face.is_plane:
-            return face, on_face(face, False, SPREAD)
-        if not closed:
-            sag = float(face.sag(np.array((0.7 * face.outline.reach) ** 2)))
-            plane = Surface(Frame(face.frame.origin + sag * face.frame.axes[:, 2], face.frame.axes))
-            return plane, on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), SPREAD, face.outline.centre)
-        radius = 1 / abs(face.curvature)
-        centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
-        last = sequence.interactions[-1].place if sequence.interactions else sequence.starts[0][0]
-        axis = (centre - last) / max(np.linalg.norm(centre - last), 1e-300)
-        plane = Surface(Frame(centre, axes_along(axis)))
-        return plane, on_plane(plane.frame, 0.9 * np.array([radius, radius]), SPREAD, (0.0, 0.0))
-
     def _aim_at(self, sequence: _Sequence, plane: Surface, targets: np.ndarray) -> None:
         """Follows the rays over a sequence that are aimed at targets (k, 3) in a plane, closing in on a narrow way."""
         frame = plane.frame
         centre, spread = targets[0], targets - targets[0]
+        if sequence.is_closed:
+            self._follow_all(sequence, plane, centre)
         for round_ in range(_AIMED):
             places = centre + spread * 0.5**round_
             launches, margin = self._launches(sequence, Surface(frame), places)
@@ -352,12 +350,18 @@ class Search:
                 return
             centre = places[np.nanargmax(margin)]
 
+    def _follow_all(self, sequence: _Sequence, plane: Surface, place: np.ndarray) -> None:
+        """Follows all rays to a place (3,): of the parts of a sphere that send light there each may be the free one."""
+        starts, known = self._rays_of(sequence)
+        launches = rays_between(self._system(sequence, plane), starts[0], place, known, SAME_RAY)
+        self._follow(np.broadcast_to(starts[0], launches.shape), launches)
+
     def _launches(self, sequence: _Sequence, plane: Surface, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Launch directions (k, 3) over a sequence to places (k, 3), and the least clearance of rims, NaN: no ray."""
         starts, _ = self._rays_of(sequence)
         source = np.broadcast_to(starts[0], places.shape)
         margin = np.full(len(places), np.nan)
-        system = Sequence((*self._placed(sequence), Interaction.through(plane, self._index(sequence))))
+        system = self._system(sequence, plane)
         if sequence.has_power:
             aimed = aim(system, source, places, self._nearest(sequence, system, source, places))
             good = aimed.converged
@@ -376,11 +380,11 @@ class Search:
         apart = np.linalg.norm(landed[None] - places[:, None], axis=2)
         return known[np.argmin(np.where(np.isnan(apart), np.inf, apart), axis=1)]
 
-    def _placed(self, sequence: _Sequence) -> tuple[Interaction, ...]:
-        return with_places(sequence.interactions, *self._rays_of(sequence))
-
-    def _index(self, sequence: _Sequence) -> float:
-        return 1.0 if sequence.inside == AIR else self._meetings.elements[sequence.inside].index
+    def _system(self, sequence: _Sequence, plane: Surface) -> Sequence:
+        """The faces of a sequence, and a plane where its light ends."""
+        index = 1.0 if sequence.inside == AIR else self._meetings.elements[sequence.inside].index
+        placed = with_places(sequence.interactions, *self._rays_of(sequence))
+        return Sequence((*placed, Interaction.through(plane, index)))
 
     def _rays_of(self, sequence: _Sequence) -> tuple[np.ndarray, np.ndarray]:
         return np.concatenate(sequence.starts), np.concatenate(sequence.launches)

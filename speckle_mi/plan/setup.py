@@ -35,19 +35,19 @@ class Setup:
         """Middle of what scatters."""
         return self.assembly.spot_at(self.frame)
 
+    @property
+    def front(self) -> np.ndarray | None:
+        """Unit normal (3,) on the side that the target radiates to, None for scatterers that radiate to all."""
+        return None if self.assembly.target.points is not None else self.spot.normal
+
     @cached_property
     def spots(self) -> np.ndarray:
-        """Places that stand for all that scatters, (n, 3): its middle and points around it as far as it is summed.
-
-        The middle comes first, but for the user's own points.
-        """
+        """Places that stand for all that scatters, (n, 3): its middle, and points around it as far as it is summed."""
         target = self.assembly.target
         if target.points is not None:
             places = self.frame.to_world(target.points.points)
-            return np.unique(
-                np.concatenate([places.mean(axis=0)[None], places[np.argmax(places, 0)], places[np.argmin(places, 0)]]),
-                axis=0,
-            )
+            outermost = np.unique(np.concatenate([places[np.argmax(places, 0)], places[np.argmin(places, 0)]]), axis=0)
+            return np.concatenate([places.mean(axis=0)[None], outermost]) if len(outermost) > 1 else outermost
         beam, spot, normal = self.assembly.beam, self.spot.point, self.spot.normal
         largest = 0.5 * float(np.ptp(target.surface.facets.bounds))
         # An ellipse, longest where the beam runs along the surface.

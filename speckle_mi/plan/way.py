@@ -69,7 +69,8 @@ class Channel:
     diffracted, in order; rims: all outlines on the way, which cast shadows where the light is not diffracted; stages:
     what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are
     not diffracted at amount to, relative to the field; hidden: pixels (rows, columns) that something hides from a part
-    of the last opening.
+    of the last opening; branches: the interactions of all ways over the same faces, this one's among them, where there
+    are several.
     """
 
     route: Route
@@ -81,6 +82,7 @@ class Channel:
     gradients: tuple[PhaseGradient, ...] = ()
     left_out: float = 0.0
     hidden: np.ndarray | None = None
+    branches: tuple[tuple[Interaction, ...], ...] = ()
 
     @property
     def has_power(self) -> bool:
