@@ -36,10 +36,10 @@ CUTS = 1.5
 SHARE = 0.3
 """Part of the tolerance that the wave of an edge may have and still be left out."""
 
-AFFORDABLE_NODES, AFFORDABLE_SECONDS = 2_000_000, 2.0
+AFFORDABLE_NODES, AFFORDABLE_SECONDS = 500_000, 2.0
 """Nodes, or seconds along its edge, up to which a rim that only touches the light is diffracted at."""
 
-CERTAINLY_TOO_MANY = 2 * AFFORDABLE_NODES
+CERTAINLY_TOO_MANY = 4 * AFFORDABLE_NODES
 """Nodes by the bend of the light alone from which on no closer look is needed."""
 
 _HOLE_SHARES, _HOLE_ANGLES = (0.0, 0.5, 1.0), 8
