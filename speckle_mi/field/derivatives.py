@@ -18,7 +18,8 @@ from ..geometry.pose import DEGREES_OF_FREEDOM
 from ..optics.sequence import amplitude_of, detector_plane
 from ..plan.plan import Plan
 from ..plan.setup import Setup
-from ..plan.shadows import has_shadow, is_clear
+from ..plan.opening_shadows import has_shadow
+from ..plan.shadows import is_clear
 from ..plan.visibility import pixels_in_view
 from ..plan.way import Channel
 from ..propagation.area import points_at

@@ -18,21 +18,20 @@ from ..optics.traced_path import TracedLeg
 from ..plan.cost import is_along_edge
 from ..plan.places import FINE, detector_places, hole_places
 from ..plan.setup import Setup
+from ..plan.opening_shadows import has_shadow, lit_nodes
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
     SHADOWS_ON_OPENING,
     extremes,
-    has_shadow,
     is_clear,
-    lit_nodes,
     lit_pixels,
     shadowed_sum,
     shapes_beside_way,
 )
-from ..plan.stage import BESIDE_WINDOW, RAYS, SUM, Stage
+from ..plan.stage import BESIDE_WINDOW, HIDDEN, RAYS, SUM, Stage
 from ..plan.way import Channel, Rim, without_rims
 from ..propagation.area import points_at
-from ..propagation.coherent_sum import How, SumResult, coherent_sum
+from ..propagation.coherent_sum import CERTAINTY, How, SumResult, coherent_sum
 from ..propagation.edge_integral import edge_sum
 from ..propagation.opening_quadrature import TIGHTEST
 from ..propagation.paths import FreeSpace, RayleighSommerfeld
@@ -43,9 +42,8 @@ from .lobe import EVEN, Lobe, LobeTerm
 from .openings import beside_window, nodes_on
 from .ray_method import ray_field
 
-_DARK = 1e-4
-"""Share of the power on pixels with an obstructed view of the opening from which it is refused: 1 % of the field, the
-wave of an edge that is otherwise left out."""
+_MOST_HIDDEN = 0.5
+"""Error of the field by pixels from which a part of an opening is hidden, beyond which it is no result."""
 
 _FEW_PAIRS = 300_000
 """Pairs of scatterer and pixel below which their plain sum takes less time than the search for a better way."""
@@ -104,7 +102,7 @@ def channel_field(
     result = summed(channel, path, sources, weights, grid, *how, tolerance, setup.costs)
     values = result.field.reshape(grid.shape)
     if channel.hidden is not None:
-        _require_dark(channel, values)
+        stages += _hidden_light(channel, values)
     stages += _sums(("the detector",), [(result.how, result.numerical_error)], began)
     uncertain = _QUADRATURE_SAFETY * quadrature * np.sqrt(len(channel.openings))
     return _channel_field(channel, values, stages, uncertain)
@@ -115,11 +113,9 @@ def _along_edge(setup: Setup, scatterers: Scatterers, channel: Channel, grid: Pl
     began, wavelength = time.perf_counter(), setup.assembly.beam.wavelength
     plane = rim.plane
     result = edge_sum(plane.outline, plane.frame, scatterers.position, scatterers.amplitude, grid, wavelength)
-    if channel.hidden is not None:
-        _require_dark(channel, result.field)
-    return _channel_field(
-        channel, result.field, _sums(("the detector",), [(result.how, result.numerical_error)], began)
-    )
+    hidden = _hidden_light(channel, result.field) if channel.hidden is not None else []
+    sums = _sums(("the detector",), [(result.how, result.numerical_error)], began)
+    return _channel_field(channel, result.field, [*hidden, *sums])
 
 
 def _without_openings(
@@ -172,7 +168,7 @@ def on_first_opening(
         result = summed(channel, path, sources, weights, nodes, *how)
         field, error = result.field, result.numerical_error
         if shadowed:
-            field, shared = _with_shadows_on(nodes, channel, rim, path, sources, weights, field, *how)
+            field, shared = _with_shadows_on(setup, nodes, channel, rim, path, sources, weights, field, *how)
             error = float(np.hypot(error, shared))
         results.append((result.how, error))
         return field
@@ -295,6 +291,7 @@ def leg_path(channel: Channel, number: int, end: Interaction, opening, wavelengt
 
 
 def _with_shadows_on(
+    setup: Setup,
     nodes: PlanePoints,
     channel: Channel,
     rim: Rim,
@@ -304,7 +301,7 @@ def _with_shadows_on(
     whole: np.ndarray,
     *how,
 ) -> tuple[np.ndarray, float]:
-    """The field at the nodes of the first opening with the shadows of rims that are not diffracted at, and its error.
+    """The field at the nodes of the first opening with the shadows of shapes and of other rims, and its error.
 
     whole: (n,) the field without them. The error is that of scatterers that share their shadow.
     """
@@ -315,7 +312,7 @@ def _with_shadows_on(
         return summed(channel, path, sources[group], weights[group], places, *how).field
 
     field, _, error = shadowed_sum(
-        sources, lambda places, _: lit_nodes(channel, rim, places, points), sum_over, whole, SHADOWS_ON_OPENING
+        sources, lambda places, _: lit_nodes(setup, channel, rim, places, points), sum_over, whole, SHADOWS_ON_OPENING
     )
     return field, error
 
@@ -365,13 +362,20 @@ def _shadowed_field(
     )
 
 
-def _require_dark(channel: Channel, values: np.ndarray) -> None:
-    """SceneError where light falls on pixels that a rim or a shape hides from a part of the last opening."""
+def _hidden_light(channel: Channel, values: np.ndarray) -> list[Stage]:
+    """A stage on light that falls on pixels from which a rim or a shape hides a part of the last opening, or none.
+
+    There the field is not known. Raises SceneError where that is more than half of the whole.
+    """
     power = np.abs(values) ** 2
     share = float(power[channel.hidden].sum() / max(power.sum(), 1e-300))
-    if share > _DARK:
+    error = CERTAINTY * np.sqrt(share)
+    if share == 0:
+        return []
+    if error > _MOST_HIDDEN:
         raise SceneError(
             f"way {channel.route.label}: {share:.2%} of the light behind {channel.openings[-1].name!r} falls where "
             "a rim or a shape hides a part of that opening, and the diffraction there is not computed: make that "
             "element wider, move it out of the light, or the detector smaller"
         )
+    return [Stage(HIDDEN, (channel.openings[-1].name,), share=share, error=float(error))]

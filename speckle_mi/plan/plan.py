@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from ..errors import InputError
 from ..geometry.pairs import all_pairs
@@ -26,9 +25,10 @@ from .cost import opening_cost
 from .edges import SHARE, EdgeWave, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
 from .gradients import phase_gradients
+from .opening_shadows import hidden_pixels, shapes_before, shapes_between_openings, wave_on_opening
 from .relay import NEAR_CAUSTIC
 from .routes import Route, find_routes
-from .shadows import clearance_of_shapes, hidden_pixels, lit_pixels, shapes_before, shapes_beside_way
+from .shadows import HALF_LIT, clearance_of_shapes, lit_pixels, shapes_beside_way, wave_of_shadow
 from .stage import (
     BESIDE,
     CLEAR,
@@ -51,9 +51,6 @@ from .way import Channel, PhaseGradient, Rim, rims_of, with_slack
 
 _CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
 """Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
-
-_HALF_LIT = 0.5
-"""Part of the light's amplitude at the very edge of a shadow."""
 
 _DETECTOR_SAMPLES = 9
 
@@ -172,9 +169,9 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
     if openings and setup.assembly.options.method != "rays":
         channel = replace(channel, gradients=_gradients(setup, channel))
     if openings:
-        channel = replace(channel, hidden=hidden_pixels(setup, channel))
+        channel = replace(channel, hidden=hidden_pixels(setup, channel), cut_by=shapes_before(setup, channel))
     if setup.assembly.options.diffraction and setup.assembly.options.method != "rays":
-        stages += _edges_beside(setup, channel, setup.spots)
+        stages += _edges_beside(setup, channel)
     left_out = [stage.predicted_error for stage in stages if stage.predicted_error is not None]
     return replace(
         channel,
@@ -194,47 +191,36 @@ def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
         ) from None
 
 
-def _edges_beside(setup: Setup, channel: Channel, spots: np.ndarray) -> list[Stage]:
+def _edges_beside(setup: Setup, channel: Channel) -> list[Stage]:
     """A stage on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
 
-    A shape that cuts the light of a way without openings casts its geometric shadow, and the wave of its edge is
-    stated. Raises SceneError where one cuts the light on its way to an opening.
+    A shape that cuts the light casts its geometric shadow, on the first opening or, of a way without openings, on the
+    detector, and the wave of its edge is stated. Raises SceneError where one cuts the light between openings.
     """
+    spots = setup.spots
     if channel.openings:
-        if names := shapes_before(setup, channel, spots):
+        if names := shapes_between_openings(setup, channel):
             named = " or ".join(map(repr, dict.fromkeys(names)))
             raise SceneError(
-                f"way {channel.route.label}: {named} cuts a part of its light, and the diffraction at that edge is not "
-                "computed: put an aperture with the free part as its hole in its place, move it out of the light, or "
-                "set diffraction to false for its geometric shadow"
+                f"way {channel.route.label}: {named} cuts a part of its light behind an opening, and the diffraction "
+                "at that edge is not computed: put an aperture with the free part as its hole in its place, move it "
+                "out of the light, or set diffraction to false for its geometric shadow"
             )
-        return []
+        if not channel.cut_by:
+            return []
+        return [Stage(CUT, channel.cut_by, predicted_error=wave_on_opening(setup, channel))]
     names = shapes_beside_way(setup, channel, spots)
     lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
     if names and not np.any(lit):
         return []  # hidden altogether: stays dark
     if names and not np.all(lit):
-        wave = _wave_of_shadow(setup, channel, spots, lit)
-        return [Stage(CUT, tuple(dict.fromkeys(names)), predicted_error=wave)]
+        length = float(np.linalg.norm(channel.grid.centre - spots[0]))
+        step = fresnel_parameter(channel.grid.pitch, length, setup.assembly.beam.wavelength)
+        return [Stage(CUT, tuple(dict.fromkeys(names)), predicted_error=wave_of_shadow(lit, step))]
     v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
     if not names:
         return []
-    return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=min(_HALF_LIT, float(edge_wave(v))))]
-
-
-def _wave_of_shadow(setup: Setup, channel: Channel, spots: np.ndarray, lit: np.ndarray) -> float:
-    """Rms wave of the edge of shadows on the detector, relative to the light beside them.
-
-    lit: (m, rows, columns) whether pixels are lit from places on the spot (m, 3). At the distance x from the edge of a
-    shadow it is the edge's wave, half of the light at the most, for an edge half way.
-    """
-    length = float(np.linalg.norm(channel.grid.centre - spots[0]))
-    step = fresnel_parameter(channel.grid.pitch, length, setup.assembly.beam.wavelength)
-    power = 0.0
-    for one in lit:
-        v = step * np.maximum(np.maximum(distance_transform_edt(one), distance_transform_edt(~one)) - 0.5, 0.0)
-        power += np.mean(np.minimum(_HALF_LIT, edge_wave(v)) ** 2)
-    return float(min(1.0, CERTAINTY * np.sqrt(power / max(np.mean(lit) * len(lit), 1e-300))))
+    return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=min(HALF_LIT, float(edge_wave(v))))]
 
 
 def _unfolded(route: Route) -> list[Stage]:

@@ -11,16 +11,17 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from ..geometry.pairs import all_pairs
 from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
-from ..optics.trace import RayStatus, trace
+from ..optics.trace import trace
 from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix
-from .fresnel import fresnel_distance
-from .places import FINE, detector_places, hole_places
+from ..propagation.coherent_sum import CERTAINTY
+from .fresnel import edge_wave, fresnel_distance
+from .places import detector_places
 from .setup import Setup
 from .tracer import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
@@ -32,22 +33,32 @@ SHADOWS_ON_DETECTOR, SHADOWS_ON_OPENING = 1024, 64
 _FEW_SHADOWS, _RIM_PIXELS = 64, 2
 """Patches whose shadows tell where scatterers differ at all, and by how many pixels more the rest may."""
 
-_SAFE_MARGIN = 0.02
+SAFE_MARGIN = 0.02
 """Relative clearance 1 - r^2/R^2 of the outermost rays from which on a rim is taken to cast no shadow."""
 
 _NODES = 24
 """Nodes a side on the detector from which rays and the clearance of rims are interpolated."""
 
-_COARSE = 96
-"""Places a side on the detector at which the view from an opening is judged."""
-
 _SOURCES_AT_ONCE = 32
 """Sources whose rays are aimed together."""
 
-_ANGLE_SAMPLES = 12
 
-_ALMOST_RIM = 0.97
-"""Part of the way to an opening's rim from where the view of the detector must be free."""
+HALF_LIT = 0.5
+"""Part of the light's amplitude at the very edge of a shadow."""
+
+
+def wave_of_shadow(lit: np.ndarray, step: float, inside: np.ndarray | None = None) -> float:
+    """Rms wave of the edge of shadows, relative to the light beside them, where these are cast.
+
+    lit: (m, rows, columns) whether pixels are lit from places on the spot; step: Fresnel parameter of a pixel; inside:
+    (rows, columns) those that count, all by default. At the distance x from the edge of a shadow it is the edge's wave,
+    half of the light at the most, for an edge half way.
+    """
+    counts, power = np.ones(lit.shape[1:], dtype=bool) if inside is None else inside, 0.0
+    for one in lit:
+        v = step * np.maximum(np.maximum(distance_transform_edt(one), distance_transform_edt(~one)) - 0.5, 0.0)
+        power += np.mean(np.minimum(HALF_LIT, edge_wave(v[counts])) ** 2)
+    return float(min(1.0, CERTAINTY * np.sqrt(power / max(np.mean(lit[:, counts]) * len(lit), 1e-300))))
 
 
 def extremes(points: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -128,7 +139,7 @@ def is_clear(setup: Setup, channel: Channel, sources: np.ndarray, axes: np.ndarr
         return True
     part, starts, ends = _outer_rays(channel, extremes(sources, axes))
     points, margins = part.rays(starts, ends)
-    return bool(np.all(margins > _SAFE_MARGIN)) and not part.shapes_beside(setup, points)
+    return bool(np.all(margins > SAFE_MARGIN)) and not part.shapes_beside(setup, points)
 
 
 def shapes_beside_way(setup: Setup, channel: Channel, sources: np.ndarray) -> list[str]:
@@ -159,9 +170,9 @@ def clearance_of_shapes(
     return kept, []
 
 
-def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[_Part, np.ndarray, np.ndarray]:
+def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[WayPart, np.ndarray, np.ndarray]:
     """The whole way, and starts and ends (n, 3) of rays from all sources to places all over the detector."""
-    return _Part.whole(channel), *all_pairs(sources, detector_places(channel.grid))
+    return WayPart.whole(channel), *all_pairs(sources, detector_places(channel.grid))
 
 
 def lit_pixels(
@@ -176,11 +187,11 @@ def lit_pixels(
 
     only: pixels to look at, all by default; rims: whether these count.
     """
-    return _Part.whole(channel).lit(setup, sources, grid, grid.shape, rims, only)
+    return WayPart.whole(channel).lit(setup, sources, grid, grid.shape, rims, only)
 
 
 @dataclass(frozen=True)
-class _Part:
+class WayPart:
     """The part of an unfolded way from one of its places to a later one.
 
     Place 0 is the source, place i the i-th surface, the last the detector; places: those of this part, its ends
@@ -193,11 +204,11 @@ class _Part:
     end: Interaction
 
     @classmethod
-    def whole(cls, channel: Channel) -> _Part:
+    def whole(cls, channel: Channel) -> WayPart:
         return cls.between(channel, None, None)
 
     @classmethod
-    def between(cls, channel: Channel, start: Rim | None, end: Rim | None) -> _Part:
+    def between(cls, channel: Channel, start: Rim | None, end: Rim | None) -> WayPart:
         """From the source (None) or a rim to a later rim or the detector (None)."""
         count = len(channel.interactions)
         first, last = start.position if start else 0, end.position if end else count
@@ -315,64 +326,3 @@ def _places(grid: PlaneGrid, down: np.ndarray, along: np.ndarray) -> np.ndarray:
         0.5 * grid.pitch * (count - 1) * share for count, share in zip(grid.shape[::-1], (along, down), strict=True)
     )
     return (grid.centre + b[:, None, None] * grid.v + a[None, :, None] * grid.u).reshape(-1, 3)
-
-
-# Shadows on an opening, and what hides an opening from the detector
-
-
-def lit_nodes(channel: Channel, rim: Rim, sources: np.ndarray, points: np.ndarray) -> Iterator[np.ndarray]:
-    """For each of sources (m, 3), whether points (n, 3) of the first opening are lit over rims not diffracted at."""
-    for source in sources:
-        yield np.all(_clearance_over(channel, rim, np.broadcast_to(source, points.shape), points) >= 0, axis=0)
-
-
-def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray) -> bool:
-    """Whether a rim that is not diffracted at may cast a shadow on the first opening, from any of sources (n, 3)."""
-    outermost, samples = extremes(sources, axes), hole_places(rim.plane, *FINE)
-    return not np.all(_clearance_over(channel, rim, *all_pairs(outermost, samples)) > _SAFE_MARGIN)
-
-
-def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Clearances (r, n) of the rims not diffracted at on rays from sources over points of an opening, (n, 3) each."""
-    chosen = {opening.number for opening in channel.openings}
-    rows = [row for row, (number, _) in enumerate(Sequence(channel.interactions).rims) if number not in chosen]
-    if not rows:
-        return np.empty((0, len(points)))
-    before = aim(Sequence((*channel.leg(0), rim.end)), source, points)
-    clearance = np.full((len(rows), len(points)), -1.0)
-    reached = np.flatnonzero(before.converged)
-    # Where the ray goes on behind the opening decides about the rims there.
-    whole = trace(
-        Sequence((*channel.interactions, detector_plane(channel.grid))), source[reached], before.launch[reached]
-    )
-    alive = whole.status <= RayStatus.OUTSIDE_OUTLINE
-    clearance[:, reached[alive]] = whole.margins[np.ix_(rows, alive)]
-    return clearance
-
-
-def shapes_before(setup: Setup, channel: Channel, spots: np.ndarray) -> list[str]:
-    """Names of shapes that cut the light on its way from samples of the spot (n, 3) to the last opening."""
-    starts, rim, names = spots, None, []
-    for opening in channel.openings:
-        part, ends = _Part.between(channel, rim, opening), hole_places(opening.plane, *FINE)
-        points, _ = part.rays(*all_pairs(starts, ends))
-        if not np.all(part.unblocked(setup, points)):
-            names += part.shapes_beside(setup, points)
-        starts, rim = ends, opening
-    return names
-
-
-def hidden_pixels(setup: Setup, channel: Channel) -> np.ndarray | None:
-    """Pixels (rows, columns) that a rim or a shape hides from a part of the last opening, None where there are none."""
-    part, grid = _Part.between(channel, channel.openings[-1], None), channel.grid
-    if not part.interactions and not setup.assembly.elements:
-        return None
-    outer = hole_places(channel.openings[-1].plane, (0.0, _ALMOST_RIM), _ANGLE_SAMPLES)
-    shape = tuple(min(_COARSE, count) for count in grid.shape)
-    hidden = ~np.all(list(part.lit(setup, outer, grid, shape, rims=True)), axis=0)
-    if not np.any(hidden):
-        return None
-    rows, columns = (
-        np.rint(np.linspace(0, few - 1, count)).astype(int) for few, count in zip(shape, grid.shape, strict=True)
-    )
-    return hidden[np.ix_(rows, columns)]

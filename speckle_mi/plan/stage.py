@@ -19,6 +19,7 @@ SHADOWS = "geometric shadows"
 LEFT_OUT = "left out"
 RELAYED = "relayed"
 BESIDE_WINDOW = "beside a window"
+HIDDEN = "hidden"
 CUT = "cut"
 OTHER_WAY = "other way"
 NO_WAY = "no way"
@@ -116,6 +117,11 @@ def in_words(stage: Stage) -> str:
             return f"relayed: summed on a window at {named} first, as an image of an opening lies near the detector"
         case "beside a window":
             return f"left out: light that passes the window at {named} by (about {stage.error:.1e} of the field)"
+        case "hidden":
+            return (
+                f"left out: what rims and shapes do to light behind {quoted}; {stage.share:.2%} of it falls where they "
+                f"hide a part of {quoted} (at most {stage.error:.1e} of the field)"
+            )
         case "cut":
             return (
                 f"{quoted} cuts a part of the light: geometric shadow; "

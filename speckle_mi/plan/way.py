@@ -70,7 +70,7 @@ class Channel:
     what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are
     not diffracted at amount to, relative to the field; hidden: pixels (rows, columns) that something hides from a part
     of the last opening; branches: the interactions of all ways over the same faces, this one's among them, where there
-    are several.
+    are several; cut_by: names of shapes that cast a shadow on the first opening.
     """
 
     route: Route
@@ -83,6 +83,7 @@ class Channel:
     left_out: float = 0.0
     hidden: np.ndarray | None = None
     branches: tuple[tuple[Interaction, ...], ...] = ()
+    cut_by: tuple[str, ...] = ()
 
     @property
     def has_power(self) -> bool:
