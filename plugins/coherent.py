@@ -25,7 +25,8 @@ Coherent integrator (:monosp:`coherent`)
    -
 
 Adds up the complex field exp(+i k L) of every scatterer of the ``rough_target`` under the ``laser`` on the pixels of
-the ``detector``, with L the optical path length. Its images have the channels ``Y``, ``E.re`` and ``E.im``.
+the ``detector``, with L the optical path length. Its images have the channels ``Y``, ``E.re`` and ``E.im``, and ``DN``
+where the detector describes a camera.
 
 .. tabs::
     .. code-tab:: xml
@@ -84,7 +85,7 @@ class Coherent(mi.SamplingIntegrator):
         for warning in frame.warnings:
             warnings.warn(warning, stacklevel=2)
         film = sensor.film()
-        film.prepare(self.aov_names())
+        film.prepare(self.aov_names() + (["DN"] if frame.image.dn is not None else []))
         film.put_block(mi.ImageBlock(_film_channels(frame.image)))
         return film.develop() if develop else mi.TensorXf()
 
@@ -100,13 +101,15 @@ class Coherent(mi.SamplingIntegrator):
 
 
 def _film_channels(image) -> mi.TensorXf:
-    """The image as a film stores it: R, G, B, weight, then the field."""
+    """The image as a film stores it: R, G, B, weight, then the field, and a camera's numbers."""
     rows, columns = image.intensity.shape
-    channels = np.empty((rows, columns, 6), dtype=np.float32)
+    channels = np.empty((rows, columns, 6 if image.dn is None else 7), dtype=np.float32)
     channels[..., :3] = image.intensity[..., None]
     channels[..., 3] = 1
     channels[..., 4] = image.field.real
     channels[..., 5] = image.field.imag
+    if image.dn is not None:
+        channels[..., 6] = image.dn
     return mi.TensorXf(channels)
 
 

@@ -131,6 +131,16 @@ def scene_parser(name: str, description: str) -> argparse.ArgumentParser:
     return made
 
 
+def add_detector(made: argparse.ArgumentParser, default: str = "all of them") -> None:
+    """The flag of every command that looks at a scene's detectors, for ``assemblies_from_scene``."""
+    made.add_argument("--detector", metavar="ID", help=f"id of the one detector to look at (default: {default})")
+
+
+def add_images(made: argparse.ArgumentParser) -> None:
+    """The flag of every command that writes what a camera saves."""
+    made.add_argument("--images", choices=("png", "tiff"), help="also write what the detector's camera saves")
+
+
 def add_force(made: argparse.ArgumentParser) -> None:
     """The flag of every command that writes results."""
     help_text = "overwrite results that were made with other settings; begin frames of more than 10 minutes"

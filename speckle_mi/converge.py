@@ -17,7 +17,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import add_force, command, say, scene_parser
+from .command_line import add_detector, add_force, command, say, scene_parser
 from .errors import InputError
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .validation.convergence.study import study
     from .validation.convergence.subject import Subject
 
-    assembly = assembly_from_scene(scene)
+    assembly = assembly_from_scene(scene, options.detector)
     identity = json.loads(json.dumps({"scene_hash": assembly.fingerprint(), "seed": assembly.seed} | settings))
     for name in ("converge.json", "converge.csv"):
         refuse_other_settings(folder / name, identity_in(folder / "converge.json"), identity, options.force)
@@ -89,6 +89,7 @@ def _parser():
         help="what the measurements may take; what would take longer is left out (default: 240, quick: 60)",
     )
     parser.add_argument("--quick", action="store_true", help="few values of everything")
+    add_detector(parser, "must be given where there are several")
     add_force(parser)
     return parser
 

@@ -96,17 +96,17 @@ def _comparer(arguments) -> Callable[[str, int], dict]:
 
     pages = _pages(arguments.page, 1 + len(arguments.moved))
     correction = read_correction(
-        lambda name: picture(name).intensity,
+        lambda name: picture(name).measured,
         arguments.dark, arguments.flat, arguments.mask, arguments.bayer, arguments.colour,
     )  # fmt: skip
 
     def read(name: str, number: int):
         image = picture(name, pages[number], arguments.channel)
         try:
-            checked_image(image.intensity, f"{name}, the {'moved' if number else 'reference'} image")
+            checked_image(image.measured, f"{name}, the {'moved' if number else 'reference'} image")
         except InputError as error:  # of this file, so that one of several is a row that says so
             raise FieldImageError(str(error)) from None
-        return replace(image, intensity=correction.apply(image.intensity))
+        return replace(image, intensity=correction.apply(image.measured), dn=None)
 
     reference = read(arguments.reference, 0)
     made: dict[tuple, Comparison] = {}  # of the last kind of image

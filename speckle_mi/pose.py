@@ -2,8 +2,9 @@
 
     python -m speckle_mi.pose SUMMARY.json [SUMMARY.json ...] SHIFTS.csv [--dof x,y,z,rx,ry,rz] [--range 0.2]
 
-Summaries are those of the commands sensitivity and sweep, one a detector; the shifts are as the command correlate
-prints them, in the detectors' order or with their names in a column ``detector``. Each motion has an uncertainty from
+Summaries are those of the commands sensitivity and sweep, of one detector each or of all of a scene; the shifts are as
+the command correlate prints them, in the detectors' order or with their names in a column ``detector``: the summary's,
+or their ids in the scene. Each motion has an uncertainty from
 that of the shifts and from what one surface's sensitivities differ from the mean by.
 """
 
@@ -26,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .geometry.pose import motions_named
     from .machine.files import require_output, write_json
     from .measurement.observability import estimated_motion, observability
-    from .report.pose_report import print_motions, read_detector, read_shifts, to_json
+    from .report.pose_report import print_motions, read_detectors, read_shifts, to_json
 
     *summaries, shifts = options.files
     if not summaries:
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     require_range(options)
     if options.out is not None:
         require_output(options.out, ".json")
-    detectors = [read_detector(path, dofs) for path in summaries]
+    detectors = [one for path in summaries for one in read_detectors(path, dofs)]
     matrix = np.concatenate([one.matrix for one in detectors])
     scatter = np.concatenate([one.scatter for one in detectors])
     scale = np.full(len(dofs), options.range / 2)

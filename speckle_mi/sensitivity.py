@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .command_line import add_force, add_motions, add_surfaces, command, require_range, scene_parser, surfaces_of
+from .command_line import (
+    add_detector, add_force, add_motions, add_surfaces, command, require_range, scene_parser, surfaces_of,
+)  # fmt: skip
 from .errors import InputError
 
 EXAMPLE = """example:
@@ -33,48 +35,56 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     scene = open_scene(options.scene, options.defaults, options.variant)
     from .experiments.one_frame import sensitivity_of
-    from .field.simulation import Simulation
+    from .field.detectors import Simulations
     from .geometry.pose import Pose
     from .plan.cost import require_affordable
-    from .report.one_frame_report import print_one_frame, summarise_one_frame
-    from .scene.read import assembly_from_scene
+    from .report.one_frame_report import print_together, summarise_one_frame, together
+    from .scene.read import assemblies_from_scene
 
-    assembly = assembly_from_scene(scene)
+    assemblies = assemblies_from_scene(scene, options.detector)
+    first = next(iter(assemblies.values()))
+    hashes = {name: assembly.fingerprint() for name, assembly in assemblies.items()}
     identity = {
-        "scene_hash": assembly.fingerprint(), "dof": list(dofs), "seeds": _surfaces(assembly, options),
-        "first_seed": assembly.seed, "precision": options.precision, "range": options.range,
+        **({"detectors": hashes} if len(hashes) > 1 else {"scene_hash": first.fingerprint()}),
+        "dof": list(dofs), "seeds": _surfaces(first, options),
+        "first_seed": first.seed, "precision": options.precision, "range": options.range,
     }  # fmt: skip
     if options.out is not None:
         refuse_other_settings(options.out, identity_in(options.out), identity, options.force)
-    simulation = Simulation(assembly)
-    require_affordable(simulation.cost(Pose()), options.force)
-    result = _measured(simulation, dofs, precision, identity["seeds"], options)
-    found = sensitivity_of(simulation, result, dofs, options.range)
-    summary = summarise_one_frame(simulation, found)
-    summary |= {"scene": options.scene, "defaults": options.defaults, "identity": identity}
+    simulations = Simulations(assemblies)
+    require_affordable(simulations.cost(Pose()), options.force)
+    results = _measured(simulations, dofs, precision, identity["seeds"], options)
+    asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
+    summaries = {}
+    for name, simulation in simulations.by_detector.items():
+        found = sensitivity_of(simulation, results[name], dofs, options.range)
+        summaries[name] = summarise_one_frame(simulation, found) | asked
     if options.out is not None:
-        write_json(options.out, {name: value for name, value in summary.items() if name != "fits"})
+        write_json(options.out, together(summaries, dofs, options.range))
     if not options.quiet:
-        print_one_frame(summary)
+        print_together(summaries, dofs, options.range)
 
 
-def _measured(simulation, dofs: tuple[str, ...], precision, count: int, options):
-    """The velocities of ``count`` surfaces, or of as many as the precision asked for takes."""
-    from .experiments.one_frame import OneFrame, sensitivity_of
+def _measured(simulations, dofs: tuple[str, ...], precision, count: int, options):
+    """The velocities of ``count`` surfaces, or of as many as the precision asked for takes, by detector."""
+    from .experiments.one_frame import OneFrameOfEach, sensitivity_of
     from .experiments.precision import MOST_SURFACES
     from .machine.progress import progress_bars
 
-    measurement, first = OneFrame(simulation), simulation.assembly.seed
+    measurement, first, done = OneFrameOfEach(simulations), simulations.first.assembly.seed, 0
     with progress_bars(options.quiet) as progress:
         bar = progress.add_task("surfaces", total=count)
         while True:
-            done = len(measurement.result.seeds)
             measurement.measure(range(first + done, first + count), lambda: progress.advance(bar))
+            done, results = count, measurement.results
             if precision is None:
-                return measurement.result
-            lacking, where = precision.lacking(sensitivity_of(simulation, measurement.result, dofs).fits)
+                return results
+            lacking, where = max(
+                precision.lacking(sensitivity_of(one, results[name], dofs).fits)
+                for name, one in simulations.by_detector.items()
+            )
             if lacking <= 1:
-                return measurement.result
+                return results
             if count >= MOST_SURFACES:
                 raise InputError(
                     f"--precision {options.precision}: the interval of {where} is still {lacking:.3g} times as wide "
@@ -118,6 +128,7 @@ def _parser():
         help="width of the range of displacements for which scatter is stated, mm or deg (default: %(default)s)",
     )  # fmt: skip
     made.add_argument("--out", metavar="F.json", help="also write everything as JSON")
+    add_detector(made)
     add_force(made)
     return made
 

@@ -8,17 +8,20 @@ from __future__ import annotations
 import json
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .command_line import SURFACES, add_force, add_motions, add_surfaces, command, say, scene_parser, surfaces_of
+from .command_line import (
+    SURFACES, add_detector, add_force, add_images, add_motions, add_surfaces, command, say, scene_parser, surfaces_of,
+)  # fmt: skip
 from .errors import InputError
 from .machine.interrupt import keeping
 
 if TYPE_CHECKING:
     from .experiments.sweep_result import SweepSettings
+    from .scene.assembly import Assembly
 
 SMALLEST_RANGE = 1e-9
 """Least range of a sweep [mm or deg]: places hold fewer digits than a smaller one needs."""
@@ -32,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = _parser().parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
     from .experiments.executor import InProcess
-    from .experiments.sweep import run_sweep
+    from .experiments.sweep import run_sweeps
     from .experiments.sweep_result import SweepResult, frame_count
     from .machine.files import require_folder
     from .scene.load import open_scene
@@ -40,51 +43,49 @@ def main(arguments: Sequence[str] | None = None) -> None:
     settings = _settings(options)
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
     scene = open_scene(options.scene, options.defaults, options.variant)
-    from .field.simulation import Simulation
+    from .field.detectors import Simulations
     from .geometry.pose import Pose
     from .machine.run_times import duration
     from .plan.cost import WORTH_SAYING, require_affordable
     from .report import sweep_report as report
-    from .report.console import print_report
-    from .scene.read import assembly_from_scene
+    from .scene.read import assemblies_from_scene
 
-    assembly = assembly_from_scene(scene)
-    settings = _with_seeds(settings, assembly.seed, _surfaces(assembly, options))
-    largest = max(assembly.detector.shape)
-    if settings.window is not None and settings.window > largest:
-        raise InputError(f"--window {settings.window}: must be at most {largest} px, the detector's longer side")
-    identity = _identity(assembly, settings)
-    simulation = Simulation(assembly)
-    cost = simulation.cost(Pose())
+    assemblies = assemblies_from_scene(scene, options.detector)
+    settings = _completed(settings, assemblies, options)
+    identity = _identity(assemblies, settings)
+    simulations = Simulations(assemblies)
+    cost = simulations.cost(Pose())
     require_affordable(cost, options.force)
     if cost.seconds > WORTH_SAYING:
         count = frame_count(settings)
         say(options, f"expected: {cost}, {count} frames in about {duration(count * cost.seconds)}")
     _claim(folder, identity, options.force)
-    result = SweepResult()
+    results = {name: SweepResult() for name in assemblies}
     table, is_repeated = folder / "sweep.csv", (folder / "summary.json").exists()
 
     def keep() -> None:
         # A sweep that is done again has a whole table already.
-        if not is_repeated or len(result.finished()) == frame_count(settings):
-            report.write_table(table, result.finished())
+        finished = {name: result.finished() for name, result in results.items()}
+        if not is_repeated or all(len(records) == frame_count(settings) for records in finished.values()):
+            report.write_table(table, finished)
 
     # An interrupted sweep keeps its finished frames and the table of them, and goes on from there the next time.
     with keeping(keep):
-        run_sweep(
-            assembly, settings, folder / "frames", result, options.quiet, resume=not is_repeated,
-            executor=InProcess(simulation),
+        run_sweeps(
+            assemblies, settings, folder / "frames", results, options.quiet, resume=not is_repeated,
+            executor=InProcess(simulations), pictures=options.images,
         )  # fmt: skip
-    summary = report.summarise(assembly, settings, result)
-    summary["scene"] = options.scene
-    summary["defaults"] = options.defaults
-    summary["identity"] = identity
-    report.write_plots(folder, assembly, settings, result, summary)
-    summary["seconds_total"] = time.perf_counter() - start
-    report.write_summary(folder / "summary.json", summary)
+    asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
+    found = {name: report.summarise(assembly, settings, results[name]) for name, assembly in assemblies.items()}
+    for name, summary in found.items():
+        part = name if len(found) > 1 else None
+        report.write_plots(folder, assemblies[name], settings, results[name], summary, part)
+    seconds = time.perf_counter() - start
+    summaries = {name: summary | asked | {"seconds_total": seconds} for name, summary in found.items()}
+    report.write_summary(folder / "summary.json", summaries)
     if not options.quiet:
-        print_report(summary)
-        say(options, f"{folder}: frames, sweep.csv, summary.json and plots, {summary['seconds_total']:.1f} s in all")
+        report.print_summaries(summaries)
+        say(options, f"{folder}: frames, sweep.csv, summary.json and plots, {seconds:.1f} s in all")
 
 
 def _parser():
@@ -98,6 +99,8 @@ def _parser():
     window_help = "side of the correlation window, px (default: 256, less on a small detector; the paper's: 64)"
     parser.add_argument("--window", type=int, default=None, help=window_help)
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
+    add_detector(parser)
+    add_images(parser)
     add_force(parser)
     return parser
 
@@ -134,22 +137,29 @@ def _settings(options) -> SweepSettings:
     return SweepSettings(dofs, displacements, (), options.window)
 
 
-def _surfaces(assembly, options) -> int:
-    """How many surfaces are swept: the user's own points are one, whatever its seed."""
-    count = surfaces_of(assembly, options)
-    if assembly.target.points is not None and options.seeds is None:
+def _completed(settings: SweepSettings, assemblies: Mapping[str, Assembly], options) -> SweepSettings:
+    """The settings with the surfaces that are swept. InputError for what the detectors do not allow."""
+    from .images.saved import require_saving
+
+    first = next(iter(assemblies.values()))
+    count = surfaces_of(first, options)
+    if first.target.points is not None and options.seeds is None:
         say(options, "one surface: the target's own points; intervals rest on the residuals of its frames")
-    return count
+    for name, assembly in assemblies.items():
+        which = f"detector {name!r}" if len(assemblies) > 1 else "the detector"
+        largest = max(assembly.detector.shape)
+        if settings.window is not None and settings.window > largest:
+            raise InputError(f"--window {settings.window}: must be at most {largest} px, the longer side of {which}")
+        if options.images:
+            require_saving(assembly.camera, which)
+    return replace(settings, seeds=tuple(range(first.seed, first.seed + count)))
 
 
-def _with_seeds(settings: SweepSettings, first: int, count: int) -> SweepSettings:
-    return replace(settings, seeds=tuple(range(first, first + count)))
-
-
-def _identity(assembly, settings: SweepSettings) -> dict:
+def _identity(assemblies: Mapping[str, Assembly], settings: SweepSettings) -> dict:
     """Everything that determines a sweep's results, as it is compared with what a folder already holds."""
+    hashes = {name: assembly.fingerprint() for name, assembly in assemblies.items()}
     return {
-        "scene_hash": assembly.fingerprint(),
+        **({"detectors": hashes} if len(hashes) > 1 else {"scene_hash": next(iter(hashes.values()))}),
         "dof": list(settings.dofs),
         "displacements": settings.displacements.tolist(),
         "seeds": list(settings.seeds),
@@ -175,7 +185,7 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
     remove_abandoned(folder / "frames")
     if force:
         for stale in (
-            *folder.glob("frames/*.exr"),
+            *(file for kind in ("exr", "png", "tiff") for file in folder.glob(f"frames/*.{kind}")),
             *folder.glob("*.png"),
             folder / "summary.json",
             folder / "sweep.csv",

@@ -31,8 +31,11 @@ def target_xml(frame: Frame = WORLD, bsdf: str = "", **values) -> str:
     return write.rough_target(frame, inside=[bsdf], **{"roughness": 0.8, "point_sources": 100} | values).xml()
 
 
-def detector_xml(frame: Frame, width: int = 64, height: int = 48, pixel_pitch: float = 0.006, samples: int = 1) -> str:
-    return write.detector(frame, width, height, pixel_pitch, samples).xml()
+def detector_xml(
+    frame: Frame, width: int = 64, height: int = 48, pixel_pitch: float = 0.006, samples: int = 1,
+    id: str = "detector", camera: dict | None = None,
+) -> str:  # fmt: skip
+    return write.detector(frame, width, height, pixel_pitch, samples, id, **(camera or {})).xml()
 
 
 def integrator_xml(**values) -> str:

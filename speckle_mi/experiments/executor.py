@@ -6,33 +6,35 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+from ..field.detectors import Simulations
 from ..field.frame import FrameResult
-from ..field.simulation import Simulation
 from ..geometry.pose import Pose
 
 
 @dataclass(frozen=True)
 class FrameTask:
-    """One frame of an assembly: pose of the target, which surface, and the name that its results are kept under."""
+    """One frame: pose of the target, which surface, and the name that its results are kept under; shot: which picture
+    of a camera there."""
 
     pose: Pose
     seed: int
     name: str
+    shot: int = 0
 
 
 class Executor(Protocol):
-    """Makes frames of one assembly somewhere."""
+    """Makes frames of the detectors of one scene somewhere."""
 
-    def results(self, tasks: Iterable[FrameTask]) -> Iterator[FrameResult]:
-        """The results of all tasks in their order, each as soon as it is there."""
+    def results(self, tasks: Iterable[FrameTask]) -> Iterator[dict[str, FrameResult]]:
+        """The results of all tasks in their order, by detector, each as soon as it is there."""
 
 
 class InProcess:
     """Makes frames one after the other in this process."""
 
-    def __init__(self, simulation: Simulation) -> None:
-        self._simulation = simulation
+    def __init__(self, simulations: Simulations) -> None:
+        self._simulations = simulations
 
-    def results(self, tasks: Iterable[FrameTask]) -> Iterator[FrameResult]:
+    def results(self, tasks: Iterable[FrameTask]) -> Iterator[dict[str, FrameResult]]:
         for task in tasks:
-            yield self._simulation.frame(task.pose, task.seed)
+            yield self._simulations.frames(task.pose, task.seed, task.shot)

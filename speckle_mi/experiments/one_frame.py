@@ -13,14 +13,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import stats
 
+from ..errors import InputError
 from ..field.derivatives import LOOSEST
+from ..field.detectors import Simulations
 from ..field.simulation import Simulation
 from ..geometry.plane import PlaneGrid
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation, sensitivity_unit
 from ..machine.cores import products_on_one_thread
 from ..measurement.sensitivity import CONFIDENCE, Sensitivity
 from ..measurement.velocity import SPECKLES, Flow, PatternVelocity, half_correlation
+from ..scattering.rough_surface import Scatterers
 from ..scene.assembly import Assembly
+from ..scene.errors import SceneError
 from .chief_ray import SeenAxes, axes_as_seen
 from .expectation import AXES, CENTRE_AXES, expected_sensitivity, on_all_axes
 
@@ -68,30 +72,34 @@ class OneFrame:
         self._pixels = sampled_pixels(self._grid, FEWEST_PIXELS)
         self.result = OneFrameResult(pixels=len(self._pixels))
 
-    @products_on_one_thread()
     def measure(self, seeds: Iterable[int], done: Callable[[], None] = lambda: None) -> None:
         """Adds surfaces to the result. Raises SceneError where the field cannot be computed as asked, InputError where
         the detector stays dark."""
         for seed in seeds:
-            began = time.perf_counter()
-            flow = self._flow(seed)
-            if not self.result.seeds:
-                flow = self._with_enough_pixels(flow, seed)
-            degree = max(n for n, fewest in enumerate(SPECKLES) if self.result.speckles >= fewest)
-            self.result.linear.append(flow.velocity(min(degree, 1)))
-            self.result.curved.append(flow.velocity(degree))
-            self.result.seeds.append(seed)
-            self.result.seconds += time.perf_counter() - began
+            self.add(seed)
             done()
 
-    def _flow(self, seed: int) -> Flow:
-        found = self.simulation.derivatives(self._pixels, seed)
+    @products_on_one_thread()
+    def add(self, seed: int, lit: Scatterers | None = None) -> None:
+        """Adds one surface. lit: its scatterers at rest, of :meth:`Simulation.lit`, where they are known."""
+        began = time.perf_counter()
+        flow = self._flow(seed, lit)
+        if not self.result.seeds:
+            flow = self._with_enough_pixels(flow, seed, lit)
+        degree = max(n for n, fewest in enumerate(SPECKLES) if self.result.speckles >= fewest)
+        self.result.linear.append(flow.velocity(min(degree, 1)))
+        self.result.curved.append(flow.velocity(degree))
+        self.result.seeds.append(seed)
+        self.result.seconds += time.perf_counter() - began
+
+    def _flow(self, seed: int, lit: Scatterers | None) -> Flow:
+        found = self.simulation.derivatives(self._pixels, seed, lit)
         rows, columns = np.divmod(self._pixels, self._grid.shape[1])
         middle = (np.array(self._grid.shape) - 1) / 2
         places = self._grid.pitch * np.stack([columns - middle[1], rows - middle[0]], axis=1)
         return Flow.of(found.field, found.by_motion, found.along, places)
 
-    def _with_enough_pixels(self, flow: Flow, seed: int) -> Flow:
+    def _with_enough_pixels(self, flow: Flow, seed: int, lit: Scatterers | None) -> Flow:
         """The first surface tells how many pixels its speckles need."""
         area = self._grid.size * self._grid.pitch**2
         self.result.speckles = flow.speckles(area)
@@ -100,7 +108,33 @@ class OneFrame:
             return flow
         self._pixels = sampled_pixels(self._grid, wanted)
         self.result.pixels = len(self._pixels)
-        return self._flow(seed)
+        return self._flow(seed, lit)
+
+
+class OneFrameOfEach:
+    """The measurement on several detectors, each from the same scatterers."""
+
+    def __init__(self, simulations: Simulations) -> None:
+        self._simulations = simulations
+        self._measurements = {name: OneFrame(one) for name, one in simulations.by_detector.items()}
+
+    @property
+    def results(self) -> dict[str, OneFrameResult]:
+        """What was measured, by detector."""
+        return {name: one.result for name, one in self._measurements.items()}
+
+    def measure(self, seeds: Iterable[int], done: Callable[[], None] = lambda: None) -> None:
+        """Adds surfaces to all results. Raises as :meth:`OneFrame.measure`, an InputError names the detector."""
+        for seed in seeds:
+            lit = self._simulations.first.lit(Pose(), seed)
+            for name, measurement in self._measurements.items():
+                try:
+                    measurement.add(seed, lit)
+                except InputError as error:
+                    if len(self._measurements) == 1 or isinstance(error, SceneError):
+                        raise
+                    raise InputError(f"detector {name!r}: {error}") from None
+            done()
 
 
 def sampled_pixels(grid: PlaneGrid, count: int) -> np.ndarray:

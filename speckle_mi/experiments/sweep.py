@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..field.simulation import Simulation, plan_of
+from ..field.detectors import Simulations
+from ..field.simulation import plan_of
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, unit_of
-from ..images.exr import read_field, write_field
+from ..images.exr import read_field, read_header, write_field
 from ..images.field_image import FieldImage, FieldImageError
+from ..images.saved import write_picture
+from ..machine.files import for_part
 from ..machine.progress import progress_bars
 from ..measurement.correlator import Correlator
 from ..measurement.speckle_statistics import centre_of_gravity, contrast
 from ..scene.assembly import Assembly
 from ..version import __version__
-from .chief_ray import SeenAxes, axes_as_seen
+from .chief_ray import axes_as_seen
 from .executor import Executor, FrameTask, InProcess
 from .expectation import on_all_axes
 from .sweep_result import REFERENCE, FrameRecord, SweepResult, SweepSettings
@@ -27,21 +32,25 @@ _PENDING_WRITES = 8
 """Frames that may wait to be written: bounds the memory they take."""
 
 
-def tasks_of(settings: SweepSettings) -> list[FrameTask]:
+@dataclass(frozen=True)
+class SweptFrame:
+    """One frame of a sweep: the motion, how far [mm or deg], and what is to be done for it."""
+
+    dof: str
+    displacement: float
+    task: FrameTask
+
+
+def frames_of_sweep(settings: SweepSettings) -> Iterator[SweptFrame]:
     """The frames of a sweep: for every surface the one at rest, then those of each motion."""
-    return [
-        FrameTask(Pose(**{dof: float(displacement)} if dof != REFERENCE else {}), seed, name)
-        for seed in settings.seeds
-        for dof, displacement, name in _frames_of_surface(settings, seed)
-    ]
-
-
-def _frames_of_surface(settings: SweepSettings, seed: int) -> Iterator[tuple[str, float, str]]:
-    """Motion, displacement [mm or deg] and name of the frames of one surface."""
-    yield REFERENCE, 0.0, f"seed{seed}_reference"
-    for dof in settings.dofs:
-        for number, displacement in enumerate(settings.displacements):
-            yield dof, float(displacement), f"seed{seed}_{dof}_{number:03d}"
+    for seed in settings.seeds:
+        yield SweptFrame(REFERENCE, 0.0, FrameTask(Pose(), seed, f"seed{seed}_reference"))
+        for dof in settings.dofs:
+            for number, displacement in enumerate(map(float, settings.displacements)):
+                # At no displacement a camera takes another picture of what it saw at rest.
+                shot = 0 if displacement else 1 + DEGREES_OF_FREEDOM.index(dof)
+                task = FrameTask(Pose(**{dof: displacement}), seed, f"seed{seed}_{dof}_{number:03d}", shot)
+                yield SweptFrame(dof, displacement, task)
 
 
 def run_sweep(
@@ -53,132 +62,172 @@ def run_sweep(
     resume: bool = False,
     executor: Executor | None = None,
 ) -> None:
-    """Makes all frames of a sweep, adding to ``result`` as it goes and writing images beside the computation.
+    """:func:`run_sweeps` of one detector, whose images have no name of its."""
+    run_sweeps({"": assembly}, settings, frames, {"": result}, quiet, resume, executor)
 
-    resume: takes the images that an interrupted sweep of the same settings has left; their records have no time.
-    executor: who makes the frames (default: this process).
+
+def run_sweeps(
+    assemblies: Mapping[str, Assembly],
+    settings: SweepSettings,
+    frames: Path,
+    results: Mapping[str, SweepResult],
+    quiet: bool = False,
+    resume: bool = False,
+    executor: Executor | None = None,
+    pictures: str | None = None,
+) -> None:
+    """Makes all frames of a sweep of one or several detectors, adding to their ``results`` as it goes.
+
+    Images are written beside the computation: ``NAME.exr``, of several detectors ``NAME.ID.exr``. resume: takes the
+    images that an interrupted sweep of the same settings has left; their records have no time. executor: who makes the
+    frames (default: this process). pictures: ``png`` or ``tiff``, to write what the cameras save as well.
     """
-    tasks = tasks_of(settings)
-    held = {task.name for task in tasks if resume and _is_finished(frames, task, assembly)}
-    seen = axes_as_seen(assembly, plan_of(assembly))
-    result.axes_as_seen = {"u": seen.u.tolist(), "v": seen.v.tolist()}
-    if seen.note:
-        result.warnings[seen.note] = len(tasks)
-    made = (executor or InProcess(Simulation(assembly))).results(task for task in tasks if task.name not in held)
-    with _Writer(frames, result.writes) as writer, progress_bars(quiet) as progress:
-        bar = progress.add_task("frames", total=len(tasks))
-
-        def images() -> Iterator[tuple[np.ndarray, float]]:
-            """Intensity of every frame, and when it was begun (NaN for one that was there already)."""
-            for task in tasks:
-                start = np.nan if task.name in held else time.perf_counter()
-                if task.name in held:
-                    image = read_field(frames / f"{task.name}.exr")
-                    result.writes.append(_done())
-                else:
-                    image = next(made).image
-                    writer.write(task.name, image)
-                result.note(image.header)
-                progress.advance(bar)
-                yield image.intensity, start
-
-        _correlate(assembly, settings, result, images(), seen)
+    planned = list(frames_of_sweep(settings))
+    images = _Images(frames, assemblies, pictures)
+    held = {one.task.name for one in planned if resume and images.are_finished(one.task)}
+    tables = {
+        name: _Measurement(assembly, settings, results[name], len(planned)) for name, assembly in assemblies.items()
+    }
+    executor = executor or InProcess(Simulations(assemblies))
+    made = executor.results(one.task for one in planned if one.task.name not in held)
+    with images, progress_bars(quiet) as progress:
+        bar = progress.add_task("frames", total=len(planned))
+        for one in planned:
+            found = images.read(one.task) if one.task.name in held else None
+            if found is None and one.task.name in held:  # whole by its header, but damaged
+                found = images.written(one.task, next(iter(executor.results([one.task]))))
+            elif found is None:
+                found = images.written(one.task, next(made))
+            for name, image in found.items():
+                results[name].writes.append(image.write)
+                results[name].note(image.image.header)
+                tables[name].add(one, image.image, image.seconds)
+            progress.advance(bar)
 
 
-class _Writer:
-    """Writes images beside the computation, a few of which may wait."""
+@dataclass(frozen=True)
+class _Kept:
+    """An image, when it is on disk, and the seconds that it took (NaN for one that was there already)."""
 
-    def __init__(self, folder: Path, writes: list[Future]) -> None:
-        self._folder, self._writes = folder, writes
+    image: FieldImage
+    write: Future
+    seconds: float
+
+
+class _Images:
+    """The images of a sweep's folder: which are there, and writing beside the computation, where a few may wait."""
+
+    def __init__(self, folder: Path, assemblies: Mapping[str, Assembly], pictures: str | None) -> None:
+        self._folder, self._pictures = folder, pictures
+        self._hashes = {name: assembly.fingerprint() for name, assembly in assemblies.items()}
+        self._waiting: deque[Future] = deque()
         self._pool = ThreadPoolExecutor(max_workers=1)
 
-    def __enter__(self) -> _Writer:
+    def __enter__(self) -> _Images:
         return self
-
-    def write(self, name: str, image: FieldImage) -> None:
-        if len(self._writes) >= _PENDING_WRITES:
-            self._writes[-_PENDING_WRITES].result()
-        self._writes.append(self._pool.submit(write_field, self._folder / f"{name}.exr", image))
 
     def __exit__(self, kind, *_: object) -> None:
         try:
-            if kind is None:
-                for write in self._writes:
-                    write.result()
+            while kind is None and self._waiting:
+                self._waiting.popleft().result()
         finally:
             # Where it went wrong, as the disk is full, say, the frames that wait are not tried.
             self._pool.shutdown(cancel_futures=True)
 
+    def _path(self, task: FrameTask, name: str) -> Path:
+        path = self._folder / f"{task.name}.exr"
+        return path if len(self._hashes) == 1 else for_part(path, name)
 
-def _done() -> Future:
-    future: Future = Future()
-    future.set_result(None)
-    return future
+    def are_finished(self, task: FrameTask) -> bool:
+        """Whether an earlier run of the same version has left the images of all detectors, by their headers."""
+        for name, scene_hash in self._hashes.items():
+            wanted = {"scene_hash": scene_hash, "seed": task.seed, "pose": str(task.pose), "version": __version__}
+            try:
+                if not wanted.items() <= read_header(self._path(task, name)).items():
+                    return False
+            except FieldImageError:
+                return False
+        return True
+
+    def read(self, task: FrameTask) -> dict[str, _Kept] | None:
+        """The images of a finished frame, None where one of them cannot be read."""
+        found = {}
+        for name in self._hashes:
+            path = self._path(task, name)
+            try:
+                image = read_field(path)
+            except FieldImageError:
+                return None
+            write: Future = Future()
+            write.set_result(None)
+            if self._pictures and not path.with_suffix(f".{self._pictures}").is_file():
+                self._later(_write_picture, path, image, self._pictures)
+            found[name] = _Kept(image, write, np.nan)
+        return found
+
+    def written(self, task: FrameTask, made: Mapping) -> dict[str, _Kept]:
+        """The images of a frame that was made, which are being written."""
+        found = {}
+        for name, frame in made.items():
+            write = self._later(_write, self._path(task, name), frame.image, self._pictures)
+            found[name] = _Kept(frame.image, write, frame.seconds)
+        return found
+
+    def _later(self, function, *arguments: object) -> Future:
+        while len(self._waiting) >= _PENDING_WRITES:
+            self._waiting.popleft().result()
+        self._waiting.append(self._pool.submit(function, *arguments))
+        return self._waiting[-1]
 
 
-def _correlate(
-    assembly: Assembly,
-    settings: SweepSettings,
-    result: SweepResult,
-    images: Iterator[tuple[np.ndarray, float]],
-    seen: SeenAxes,
-) -> None:
-    """Adds a record of every image to ``result``, measured against the one at rest of its surface.
-
-    seen: the detector's axes as the target sees them.
-    """
-    for seed in settings.seeds:
-        correlator = None
-        for (dof, displacement, _), (intensity, start) in zip(_frames_of_surface(settings, seed), images, strict=False):
-            if dof == REFERENCE:
-                correlator = Correlator(intensity, settings.window)
-                result.example = intensity if result.example is None else result.example
-            result.records.append(_record(dof, displacement, seed, correlator, intensity, assembly, seen, start))
+def _write(path: Path, image: FieldImage, pictures: str | None) -> None:
+    if pictures:  # first, so that a frame that counts as finished has its picture
+        _write_picture(path, image, pictures)
+    write_field(path, image)
 
 
-def _is_finished(frames: Path, task: FrameTask, assembly: Assembly) -> bool:
-    """Whether an earlier run of the same version has left the frame's image, whole."""
-    wanted = {
-        "scene_hash": assembly.fingerprint(),
-        "seed": task.seed,
-        "pose": str(task.pose),
-        "version": __version__,
-    }
-    try:
-        return wanted.items() <= read_field(frames / f"{task.name}.exr").header.items()
-    except FieldImageError:
-        return False
+def _write_picture(path: Path, image: FieldImage, kind: str) -> None:
+    write_picture(path.with_name(f"{path.stem}.{kind}"), image)
 
 
-def _record(
-    dof: str,
-    displacement: float,
-    seed: int,
-    correlator: Correlator,
-    intensity: np.ndarray,
-    assembly: Assembly,
-    seen: SeenAxes,
-    start: float,
-) -> FrameRecord:
-    pixel = 1e3 * assembly.detector.pitch
-    shift = correlator.shift(intensity)
-    u, v, x, y = on_all_axes(np.array([[shift.u_px], [shift.v_px]]) * pixel, assembly, seen)[:, 0]
-    cog = np.array(centre_of_gravity(intensity)) * pixel
-    return FrameRecord(
-        dof=dof,
-        displacement=displacement,
-        unit=unit_of(dof) if dof in DEGREES_OF_FREEDOM else "mm",
-        seed=seed,
-        shift_u_um=float(u),
-        shift_v_um=float(v),
-        shift_x_um=float(x),
-        shift_y_um=float(y),
-        ncc=shift.ncc,
-        cog_u_um=float(cog[0]),
-        cog_v_um=float(cog[1]),
-        contrast=contrast(intensity),
-        seconds=time.perf_counter() - start,
-        status=shift.status,
-        sigma_u_um=shift.sigma_u_px * pixel,
-        sigma_v_um=shift.sigma_v_px * pixel,
-    )
+class _Measurement:
+    """Shifts of one detector's images against the one at rest of their surface, a record of each."""
+
+    def __init__(self, assembly: Assembly, settings: SweepSettings, result: SweepResult, count: int) -> None:
+        self._assembly, self._settings, self._result = assembly, settings, result
+        self._seen = axes_as_seen(assembly, plan_of(assembly))
+        self._correlator: Correlator | None = None
+        result.axes_as_seen = {"u": self._seen.u.tolist(), "v": self._seen.v.tolist()}
+        if self._seen.note:
+            result.warnings[self._seen.note] = count
+
+    def add(self, frame: SweptFrame, image: FieldImage, seconds: float) -> None:
+        """seconds: that the image took; the record's are those of its measurement, too."""
+        start, measured = time.perf_counter(), image.measured
+        if frame.dof == REFERENCE:
+            self._correlator = Correlator(measured, self._settings.window)
+            self._result.example = measured if self._result.example is None else self._result.example
+        pixel = 1e3 * self._assembly.detector.pitch
+        shift = self._correlator.shift(measured)
+        along = on_all_axes(np.array([[shift.u_px], [shift.v_px]]) * pixel, self._assembly, self._seen)[:, 0]
+        u, v, x, y = map(float, along)
+        cog = np.array(centre_of_gravity(measured)) * pixel
+        record = FrameRecord(
+            dof=frame.dof,
+            displacement=frame.displacement,
+            unit=unit_of(frame.dof) if frame.dof in DEGREES_OF_FREEDOM else "mm",
+            seed=frame.task.seed,
+            shift_u_um=u,
+            shift_v_um=v,
+            shift_x_um=x,
+            shift_y_um=y,
+            ncc=shift.ncc,
+            cog_u_um=float(cog[0]),
+            cog_v_um=float(cog[1]),
+            contrast=contrast(measured),
+            seconds=seconds + time.perf_counter() - start,
+            status=shift.status,
+            sigma_u_um=shift.sigma_u_px * pixel,
+            sigma_v_um=shift.sigma_v_px * pixel,
+        )
+        self._result.records.append(record)

@@ -26,6 +26,7 @@ from ..propagation.costs import costs_of
 from ..scattering.rough_surface import Scatterers
 from ..scene.assembly import Assembly, Options
 from .derivatives import DerivativeFields, derivative_fields
+from .exposure import picture_of
 from .frame import FrameResult, header_of
 from .lobe import Lobe
 from .stages import ChannelField, channel_field, ray_channel
@@ -65,10 +66,11 @@ class Simulation:
     Frames do not depend on what was rendered before, and may be made from several threads.
     """
 
-    def __init__(self, assembly: Assembly) -> None:
+    def __init__(self, assembly: Assembly, tracer: Tracer | None = None) -> None:
+        """tracer: of an assembly with the same target and elements, where there is one."""
         self.assembly = assembly
         self._costs = costs_of(ensure_variant())
-        self._tracer = Tracer(assembly)
+        self._tracer = Tracer(assembly) if tracer is None else tracer
         self._plans: dict[tuple[Pose, Options], Plan] = {}
         self._lobe: Lobe | None = None
         self._lock = threading.Lock()
@@ -87,27 +89,38 @@ class Simulation:
 
     @raised_as_such()
     @products_on_one_thread()
-    def frame(self, pose: Pose | None = None, seed: int | None = None, options: Options | None = None) -> FrameResult:
+    def frame(
+        self, pose: Pose | None = None, seed: int | None = None, options: Options | None = None, shot: int = 0,
+        lit: Scatterers | None = None,
+    ) -> FrameResult:  # fmt: skip
         """The field image with everything that was found out on the way.
 
         pose: displacement of the target from rest (default: the scene's); seed: which surface (default: the scene's);
-        options: of the integrator (default: the scene's). Raises SceneError where the field cannot be computed as
-        asked.
+        options: of the integrator (default: the scene's); shot: which of the pictures that a camera takes there, whose
+        noise differs; lit: what :meth:`lit` gives, where it is known. Raises SceneError where the field cannot be
+        computed as asked.
         """
         began = time.perf_counter()
-        assembly = self.assembly if seed is None else self.assembly.with_seed(seed)
-        setup = self._setup(assembly, pose, options)
+        setup = self._setup(self._surface(seed), pose, options)
         plan, warnings = self._plan(setup), []
-        scatterers = _visible(setup, _illuminated(setup), plan, warnings)
+        scatterers = _visible(setup, _illuminated(setup) if lit is None else lit, plan, warnings)
         centre, intensity, stages, error = self._detect(setup, scatterers, plan, warnings)
         warnings += plan.warnings
         if error > setup.assembly.options.tolerance:
             warnings.append(_beyond_tolerance(error, setup.assembly.options.tolerance, stages))
         # No seed is in the hash: of the assembly that all frames share it is computed once.
         scene_hash = (self.assembly if options is None else setup.assembly).fingerprint()
+        picture = picture_of(setup.assembly, setup.pose, intensity, shot)
+        warnings += picture.warnings
         header = header_of(setup.assembly, scene_hash, setup.pose, scatterers.count, stages, error, warnings)
-        image = FieldImage(intensity, centre, header)
+        image = FieldImage(intensity, centre, header | picture.header, dn=picture.dn)
         return FrameResult(image, scatterers, stages, error, tuple(warnings), time.perf_counter() - began)
+
+    @raised_as_such()
+    @products_on_one_thread()
+    def lit(self, pose: Pose | None = None, seed: int | None = None) -> Scatterers:
+        """The scatterers under the beam, which do not depend on the detector, nor on what stands before it."""
+        return _illuminated(self._setup(self._surface(seed), pose, None))
 
     @raised_as_such()
     @products_on_one_thread()
@@ -118,17 +131,21 @@ class Simulation:
 
     @raised_as_such()
     @products_on_one_thread()
-    def derivatives(self, pixels: np.ndarray, seed: int | None = None) -> DerivativeFields:
+    def derivatives(
+        self, pixels: np.ndarray, seed: int | None = None, lit: Scatterers | None = None
+    ) -> DerivativeFields:
         """The field on some pixels with its derivatives by the target's motions from rest and along u and v.
 
-        pixels: (m,) flat indices of the detector, row by row; seed: which surface (default: the scene's). Raises
-        SceneError as :meth:`frame`, InputError for the method ``rays``.
+        pixels: (m,) flat indices of the detector, row by row; seed: which surface (default: the scene's); lit:
+        what :meth:`lit` gives at rest, where it is known. Raises SceneError as :meth:`frame`, InputError for ``rays``.
         """
-        assembly = self.assembly if seed is None else self.assembly.with_seed(seed)
-        setup = self._setup(assembly, Pose(), None)
+        setup = self._setup(self._surface(seed), Pose(), None)
         plan = self._plan(setup)
-        scatterers = _visible(setup, _illuminated(setup), plan, [])
+        scatterers = _visible(setup, _illuminated(setup) if lit is None else lit, plan, [])
         return derivative_fields(setup, plan, scatterers, pixels, self._radiation())
+
+    def _surface(self, seed: int | None) -> Assembly:
+        return self.assembly if seed is None else self.assembly.with_seed(seed)
 
     def _setup(self, assembly: Assembly, pose: Pose | None, options: Options | None) -> Setup:
         assembly = assembly if options is None else replace(assembly, options=options)
@@ -157,19 +174,20 @@ class Simulation:
     ) -> tuple[np.ndarray, np.ndarray, tuple[Stage, ...], float]:
         """Field at the pixel centres, intensity averaged over the pixels, stages and estimated error."""
         side = setup.assembly.sub_pixels
+        offsets = setup.assembly.sensitive_side * _sub_pixel_offsets(side)
         centre, stages, error = self._field(setup, scatterers, plan, (0.0, 0.0), warnings)
         if side == 1:
             return centre, _intensity(centre), stages, error
         total = np.zeros(setup.assembly.detector.shape)
-        for offset_v in _sub_pixel_offsets(side):
-            for offset_u in _sub_pixel_offsets(side):
+        for row, offset_v in enumerate(offsets):
+            for offset_u in offsets:
                 if offset_u == offset_v == 0:
                     total += _intensity(centre)
                     continue
                 values, _, sub_error = self._field(setup, scatterers, plan, (offset_u, offset_v), warnings)
                 total += _intensity(values)
                 error = max(error, sub_error)
-            tell("rows of sub-pixels", 1 + round(side * offset_v + (side - 1) / 2), side)
+            tell("rows of sub-pixels", row + 1, side)
         return centre, (total / side**2).astype(np.float32), (*stages, Stage(PIXELS, count=side)), error
 
     def _field(

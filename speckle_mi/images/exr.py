@@ -1,4 +1,5 @@
-"""Field images on disk: OpenEXR files with the channels Y, E.re and E.im and a header that says what they are."""
+"""Field images on disk: OpenEXR files with the channels Y, E.re, E.im and a header that says what they are; a camera's
+numbers stand in the channel DN."""
 
 from __future__ import annotations
 
@@ -35,6 +36,8 @@ def write_field(path: str | os.PathLike, image: FieldImage, layers: dict[str, np
     in ten times the time.
     """
     channels = {"Y": np.ascontiguousarray(image.intensity, dtype=np.float32)}
+    if image.dn is not None:
+        channels["DN"] = np.ascontiguousarray(image.dn, dtype=np.float32)
     for name, values in {"E": image.field, **(layers or {})}.items():
         channels[f"{name}.re"] = np.ascontiguousarray(values.real, dtype=np.float32)
         channels[f"{name}.im"] = np.ascontiguousarray(values.imag, dtype=np.float32)
@@ -75,7 +78,8 @@ def read_field(path: str | os.PathLike, channel: str | None = None, page: int | 
     (left, top), (right, bottom) = _window(attributes["displayWindow"])
     (data_left, data_top), _ = _window(attributes["dataWindow"])
     canvas = (bottom - top + 1, right - left + 1)
-    return FieldImage(intensity, complex_field, _header(attributes), (data_top - top, data_left - left), canvas)
+    dn = channels["DN"].astype(np.float32) if channel is None and "DN" in channels else None
+    return FieldImage(intensity, complex_field, _header(attributes), (data_top - top, data_left - left), canvas, dn)
 
 
 def _intensity(path: Path, channels: dict, attributes: dict, wanted: str | None) -> np.ndarray | None:

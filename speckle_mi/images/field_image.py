@@ -19,7 +19,8 @@ class FieldImage:
 
     intensity: (rows, columns) float32, averaged over the pixel; field: (rows, columns) complex, at the pixel's
     centre, None where a file has none; header: what the image is (units in the names). origin: (row, column) of the
-    first pixel on the canvas, which has ``canvas`` (rows, columns) pixels; None where the image is all of it.
+    first pixel on the canvas, which has ``canvas`` (rows, columns) pixels; None where the image is all of it. dn:
+    (rows, columns) float32, the numbers that a camera hands out; None where none is described.
     """
 
     intensity: np.ndarray
@@ -27,3 +28,9 @@ class FieldImage:
     header: dict = field(default_factory=dict)
     origin: tuple[int, int] = (0, 0)
     canvas: tuple[int, int] | None = None
+    dn: np.ndarray | None = None
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(rows, columns) float32, what there is to look at: the camera's numbers, without one the intensity."""
+        return self.intensity if self.dn is None else self.dn

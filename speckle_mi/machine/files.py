@@ -33,6 +33,12 @@ def require_output(path: str | os.PathLike, suffix: str = "") -> None:
     remove_abandoned(folder)
 
 
+def for_part(path: str | os.PathLike, part: str) -> Path:
+    """The name that a file ``F.exr`` has for one of several parts of what is written: ``F.<part>.exr``."""
+    path = Path(path)
+    return path.with_name(f"{path.stem}.{part}{path.suffix}")
+
+
 def require_distinct(**paths: str | None) -> None:
     """Raises InputError where two of the files that a command reads or writes, by what they are to it, are one."""
     given = [(what, path) for what, path in paths.items() if path]

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+
+import numpy as np
 
 from ..experiments import published as paper
 from ..experiments.expectation import expected_by_way
@@ -10,8 +13,10 @@ from ..experiments.one_frame import OneFrameSensitivity
 from ..field.simulation import Simulation
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, sensitivity_unit, unit_of
 from ..machine.system import system_information
+from ..measurement.observability import Observability, observability
 from .console import foot_lines, number, sensitivity_table
-from .sweep_report import paper_comparison
+from .pose_report import observability_to_json, print_observability
+from .sweep_report import SHARED, paper_comparison
 from .terminal import print_table, terminal
 
 
@@ -62,6 +67,43 @@ def _theory_by_way(simulation: Simulation, dofs: list[str]) -> dict | None:
         }
         for way, expected in expected_by_way(simulation.assembly, plan).items()
     }
+
+
+def together(summaries: Mapping[str, dict], dofs: tuple[str, ...], width: float) -> dict:
+    """What is written of one or several detectors: of several each one's under ``detectors``, and ``observability``.
+
+    ``observability`` is what their shifts together tell apart, for displacements of half a range of ``width`` [mm or
+    deg]: singular values [mm], condition number and the combinations of motions that none of them sees.
+    """
+    plain = {
+        detector: {name: value for name, value in summary.items() if name != "fits"}
+        for detector, summary in summaries.items()
+    }
+    if len(plain) == 1:
+        return next(iter(plain.values()))
+    first = next(iter(plain.values()))
+    seen = _seen(summaries, dofs, width)
+    return {name: first[name] for name in SHARED if name in first} | {
+        "observability": None if seen is None else observability_to_json(dofs, seen),
+        "detectors": plain,
+    }
+
+
+def print_together(summaries: Mapping[str, dict], dofs: tuple[str, ...], width: float) -> None:
+    """Prints what was found of each detector, and of several what they tell apart together."""
+    for detector, summary in summaries.items():
+        if len(summaries) > 1:
+            terminal().print(f"detector {detector}")
+        print_one_frame(summary)
+    if len(summaries) > 1 and (seen := _seen(summaries, dofs, width)) is not None:
+        terminal().print(f"all {len(summaries)} detectors together:")
+        print_observability(dofs, seen)
+
+
+def _seen(summaries: Mapping[str, dict], dofs: tuple[str, ...], width: float) -> Observability | None:
+    """None where a sensitivity is not known."""
+    matrix = np.array([[one["fits"][dof][axis].value for dof in dofs] for one in summaries.values() for axis in "uv"])
+    return observability(matrix, np.full(len(dofs), width / 2)) if np.all(np.isfinite(matrix)) else None
 
 
 def print_one_frame(summary: dict) -> None:

@@ -29,10 +29,25 @@ class DetectorSensitivity:
     scatter: np.ndarray
 
 
-def read_detector(path: str, dofs: tuple[str, ...]) -> DetectorSensitivity:
-    """From the JSON of the commands sensitivity or sweep. Raises InputError where a motion is missing."""
+def read_detectors(path: str, dofs: tuple[str, ...]) -> list[DetectorSensitivity]:
+    """From the JSON of the commands sensitivity or sweep: its detector by the file's name, several by their ids.
+
+    Raises InputError where a motion is missing.
+    """
     try:
         summary = json.loads(Path(path).read_text(encoding="utf-8"))
+        several = dict(summary.get("detectors") or {})
+    except (ValueError, TypeError, AttributeError):
+        raise _no_summary(path) from None
+    return [_detector(path, *one, dofs) for one in (several or {Path(path).stem: summary}).items()]
+
+
+def _no_summary(path: str) -> InputError:
+    return InputError(f"{path}: is no summary with sensitivities, as the command sensitivity writes it")
+
+
+def _detector(path: str, name: str, summary: dict, dofs: tuple[str, ...]) -> DetectorSensitivity:
+    try:
         entries = summary["sensitivity"]
         missing = [dof for dof in dofs if dof not in entries]
         if missing:
@@ -42,8 +57,8 @@ def read_detector(path: str, dofs: tuple[str, ...]) -> DetectorSensitivity:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
-        raise InputError(f"{path}: is no summary with sensitivities, as the command sensitivity writes it") from None
-    return DetectorSensitivity(Path(path).stem, matrix, scatter)
+        raise _no_summary(path) from None
+    return DetectorSensitivity(name, matrix, scatter)
 
 
 def _scatter(summary: dict, dof: str, axis: str) -> float:
@@ -73,6 +88,8 @@ def read_shifts(path: str, names: list[str]) -> list[tuple[np.ndarray, np.ndarra
             raise InputError(f"{path}: has no column {column}, must have {', '.join((*SHIFTS, *SIGMAS))}")
     if len(rows) % len(names):
         raise InputError(f"{path}: has {len(rows)} rows, must have one for each of {len(names)} detectors a motion")
+    if "detector" in rows[0] and len(set(names)) != len(names):
+        raise InputError(f"{path}: names its rows' detectors, which must have different names: {', '.join(names)}")
     found = []
     for first in range(0, len(rows), len(names)):
         group = rows[first : first + len(names)]
@@ -101,14 +118,20 @@ def _number(path: str, row: dict, column: str) -> float:
     return value
 
 
-def to_json(dofs: tuple[str, ...], seen: Observability, estimates: list[MotionEstimate]) -> dict:
-    """Everything that was found; ``scale`` [mm or deg] are the displacements that singular values [mm] are for."""
+def observability_to_json(dofs: tuple[str, ...], seen: Observability) -> dict:
+    """What can be told apart; ``scale`` [mm or deg] are the displacements that singular values [mm] are for."""
     return {
         "dof": list(dofs),
         "scale": dict(zip(dofs, seen.scale.tolist(), strict=True)),
         "singular_values": seen.singular_values.tolist(),
         "condition": seen.condition,
         "unseen": [dict(zip(dofs, row.tolist(), strict=True)) for row in seen.unseen],
+    }
+
+
+def to_json(dofs: tuple[str, ...], seen: Observability, estimates: list[MotionEstimate]) -> dict:
+    """Everything that was found."""
+    return observability_to_json(dofs, seen) | {
         "motions": [
             {
                 "motion": dict(zip(dofs, one.motion.tolist(), strict=True)),
@@ -122,8 +145,8 @@ def to_json(dofs: tuple[str, ...], seen: Observability, estimates: list[MotionEs
     }
 
 
-def print_motions(dofs: tuple[str, ...], seen: Observability, estimates: list[MotionEstimate]) -> None:
-    """Prints what can be told apart, and a row for each motion."""
+def print_observability(dofs: tuple[str, ...], seen: Observability) -> None:
+    """Prints what can be told apart."""
     console = terminal()
     values = ", ".join(f"{1e3 * value:.3g}" for value in seen.singular_values)
     sizes = ", ".join(f"{dof} {size:g} {unit_of(dof)}" for dof, size in zip(dofs, seen.scale, strict=True))
@@ -132,6 +155,11 @@ def print_motions(dofs: tuple[str, ...], seen: Observability, estimates: list[Mo
     for row in seen.unseen:
         parts = [f"{share:+.2f} {dof}" for dof, share in zip(dofs, row, strict=True) if abs(share) >= 0.01]
         console.print(f"not seen: {' '.join(parts)} (in these units)")
+
+
+def print_motions(dofs: tuple[str, ...], seen: Observability, estimates: list[MotionEstimate]) -> None:
+    """Prints what can be told apart, and a row for each motion."""
+    print_observability(dofs, seen)
     heads = ["motion", *(f"{dof} ({unit_of(dof)})" for dof in dofs), "misfit / freedom"]
     rows = []
     for number, one in enumerate(estimates, start=1):
@@ -141,4 +169,4 @@ def print_motions(dofs: tuple[str, ...], seen: Observability, estimates: list[Mo
             for value, error in zip(one.motion, sigma, strict=True)
         ]
         rows.append([str(number), *cells, f"{one.misfit:.2f} / {one.freedom}"])
-    print_table(console, heads, rows, title="Motions, with one standard uncertainty")
+    print_table(terminal(), heads, rows, title="Motions, with one standard uncertainty")

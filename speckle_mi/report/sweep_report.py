@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from itertools import zip_longest
 from pathlib import Path
 
 import numpy as np
@@ -15,26 +16,57 @@ from ..experiments.expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_
 from ..experiments.sweep_result import FrameRecord, SweepResult, SweepSettings
 from ..field.simulation import plan_of
 from ..geometry.pose import DEGREES_OF_FREEDOM, sensitivity_unit
-from ..machine.files import write_csv, write_json
+from ..machine.files import for_part, write_csv, write_json
 from ..machine.system import system_information
 from ..measurement.sensitivity import Sensitivity, fit_sensitivity
 from ..plan.plan import Plan
 from ..plan.stage import Stage
 from ..scene.assembly import Assembly
+from .console import print_report
 from .plots import plot_decorrelation, plot_shifts, plot_speckle
+from .terminal import terminal
 
 _CURVE_POINTS = 101
 
-
-def write_table(path: str | os.PathLike, records: Iterable[FrameRecord]) -> None:
-    """Writes a row a frame; numbers that were not measured are empty."""
-    rows = ({name: None if _is_nan(value) else value for name, value in asdict(record).items()} for record in records)
-    write_csv(path, [column.name for column in fields(FrameRecord)], rows)
+SHARED = ("scene", "defaults", "identity", "system", "seconds_total")
+"""What a summary of several detectors says once besides: it is the same for all."""
 
 
-def write_summary(path: str | os.PathLike, summary: dict) -> None:
-    """Writes summary.json without what only the plots need."""
-    write_json(path, {name: value for name, value in summary.items() if name != "fits"})
+def write_table(path: str | os.PathLike, records: Mapping[str, Sequence[FrameRecord]]) -> None:
+    """Writes a row a frame; of several detectors one for each, named in a column ``detector``.
+
+    Numbers that were not measured are empty.
+    """
+    names = [column.name for column in fields(FrameRecord)]
+    several = len(records) > 1
+    frames = zip_longest(*records.values())  # an interrupted sweep has more of the first detectors
+    rows = (
+        ({"detector": detector} if several else {})
+        | {name: None if _is_nan(value) else value for name, value in asdict(record).items()}
+        for frame in frames
+        for detector, record in zip(records, frame, strict=True)
+        if record is not None
+    )
+    write_csv(path, [*(["detector"] if several else []), *names], rows)
+
+
+def write_summary(path: str | os.PathLike, summaries: Mapping[str, dict]) -> None:
+    """Writes summary.json without what only the plots need: the only detector's, or under ``detectors`` each one's."""
+    plain = {
+        detector: {name: value for name, value in summary.items() if name != "fits"}
+        for detector, summary in summaries.items()
+    }
+    first = next(iter(plain.values()))
+    shared = {name: first[name] for name in SHARED if name in first}
+    write_json(path, first if len(plain) == 1 else shared | {"detectors": plain})
+
+
+def print_summaries(summaries: Mapping[str, dict]) -> None:
+    """Prints the report of each detector."""
+    for detector, summary in summaries.items():
+        if len(summaries) > 1:
+            terminal().print(f"detector {detector}")
+        print_report(summary)
 
 
 def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) -> dict:
@@ -63,13 +95,23 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
     }
 
 
-def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, result: SweepResult, summary: dict) -> None:
-    """Writes the speckle image, the decorrelation curves and, for every motion, the shifts along its main axes."""
+def write_plots(
+    folder: Path, assembly: Assembly, settings: SweepSettings, result: SweepResult, summary: dict,
+    detector: str | None = None,
+) -> None:  # fmt: skip
+    """Writes the speckle image, the decorrelation curves and, for every motion, the shifts along its main axes.
+
+    detector: its name, where it is one of several.
+    """
+
+    def place(name: str) -> Path:
+        return folder / name if detector is None else for_part(folder / name, detector)
+
     plot_speckle(
-        folder / "speckle.png", result.example, assembly.detector.pitch, f"Surface {settings.seeds[0]} at rest"
+        place("speckle.png"), result.example, assembly.detector.pitch, f"Surface {settings.seeds[0]} at rest"
     )
     plot_decorrelation(
-        folder / "decorrelation.png",
+        place("decorrelation.png"),
         {dof: settings.displacements for dof in settings.dofs},
         {dof: result.values(dof, "ncc", settings) for dof in settings.dofs},
         _correlation_curves(assembly, settings),
@@ -77,7 +119,7 @@ def write_plots(folder: Path, assembly: Assembly, settings: SweepSettings, resul
     for dof, fitted in summary["fits"].items():
         for axis in _axes_to_plot(fitted):
             plot_shifts(
-                folder / f"shift_{dof}_{axis}.png", settings.displacements,
+                place(f"shift_{dof}_{axis}.png"), settings.displacements,
                 result.values(dof, _column(axis), settings), fitted[axis].theory, fitted[axis], dof, axis,
             )
 

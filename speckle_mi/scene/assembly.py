@@ -14,6 +14,7 @@ import numpy as np
 from ..geometry.frames import Frame
 from ..geometry.plane import PlaneGrid
 from ..geometry.pose import Pose
+from ..images.camera import Camera
 from ..machine.fingerprint import fingerprint
 from ..scattering.beam import Beam
 from ..scattering.footprint import mean_plane_normal
@@ -75,7 +76,8 @@ class Assembly:
 
     pose: where the scene has its target, displaced from rest; sub_pixels: side of the square of sub-pixels that the
     intensity is averaged over; index: refractive index of the medium around everything, 1 for air. The beam's
-    wavelength is that in this medium, and the elements' indices are relative to it.
+    wavelength is that in this medium, and the elements' indices are relative to it. camera: what the detector's image
+    goes through, None where nothing is said of it.
     """
 
     beam: Beam
@@ -86,6 +88,7 @@ class Assembly:
     pose: Pose
     sub_pixels: int = 1
     index: float = 1.0
+    camera: Camera | None = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Assembly) and self._whole == other._whole
@@ -102,6 +105,11 @@ class Assembly:
     def vacuum_wavelength(self) -> float:
         """Wavelength outside the medium that everything stands in [mm], as the scene gives it."""
         return self.beam.wavelength * self.index
+
+    @property
+    def sensitive_side(self) -> float:
+        """Side of the part of a pixel that is sensitive, relative to the pitch: sub-pixels are spread over it."""
+        return 1.0 if self.camera is None else float(np.sqrt(self.camera.fill_factor))
 
     @cached_property
     def spot(self) -> Spot:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from itertools import combinations
 
@@ -23,6 +24,9 @@ from .shapes import elements_of, shapes_of
 _ON_SURFACE = 1e-9
 """Depth in a glass, relative to its size, up to which a point still counts as on its surface."""
 
+_NAME = re.compile(r"[\w-]([\w\-. ]{0,98}[\w-])?")
+"""Ids of several detectors."""
+
 MAX_SUB_PIXELS = 10_000
 """Most sub-pixels a pixel: as many fields are computed."""
 
@@ -30,17 +34,50 @@ BYTES_PER_PIXEL = 40
 """Memory of one frame at its peak: the field (16), its intensity (4), a working copy (16) and what is done in tiles."""
 
 
-def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: int = 0) -> Assembly:
-    """Collects the assembly of a loaded scene.
+def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | str | None = None, spp: int = 0) -> Assembly:
+    """Collects the assembly of a loaded scene as one detector sees it.
 
-    Raises SceneError when a laser, target, detector or coherent integrator is missing or there are several, and for
-    every shape that cannot be taken into account.
+    sensor: which one, or its id; it is the only one unless given. Raises SceneError when a laser, target, detector or
+    coherent integrator is missing or there are several, and for every shape that cannot be taken into account.
     """
+    if sensor is None:
+        sensor = _only(scene.sensors(), "sensor", "detector")
+    (assembly,) = _read(scene, [_detector_named(scene, sensor) if isinstance(sensor, str) else sensor], spp)
+    return assembly
+
+
+def assemblies_from_scene(scene: mi.Scene, only: str | None = None, spp: int = 0) -> dict[str, Assembly]:
+    """The assemblies of all detectors of a loaded scene by their ids, read once: they share all but the detector.
+
+    only: the id of one that is wanted alone. Raises SceneError as :func:`assembly_from_scene`, for an unknown id and,
+    of several detectors, for one without an id that names its files.
+    """
+    detectors = [sensor for sensor in scene.sensors() if role_of(sensor) == "detector"]
+    if only is not None:
+        detectors = [_detector_named(scene, only)]
+    elif len(detectors) < 2:
+        detectors = [_only(scene.sensors(), "sensor", "detector")]
+    else:
+        _require_names([sensor.id() for sensor in detectors])
+    read = _read(scene, detectors, spp)
+    return {sensor.id(): assembly for sensor, assembly in zip(detectors, read, strict=True)}
+
+
+def _detector_named(scene: mi.Scene, name: str) -> mi.Sensor:
+    detectors = {sensor.id(): sensor for sensor in scene.sensors() if role_of(sensor) == "detector"}
+    if name not in detectors:
+        there = ", ".join(map(repr, detectors)) or "(none)"
+        raise SceneError(f"detector {name!r}: the scene has none of this id, must be one of {there}")
+    return detectors[name]
+
+
+def _read(scene: mi.Scene, detectors: list[mi.Sensor], spp: int) -> list[Assembly]:
+    """The assembly of each of some detectors."""
     laser = _only(scene.emitters(), "emitter", "laser")
     shape = _only(scene.shapes(), "shape", "rough_target")
-    detector = sensor if sensor is not None else _only(scene.sensors(), "sensor", "detector")
-    if role_of(detector) != "detector":
-        raise SceneError(f"sensor {detector.id()!r} is a {detector.class_name()}, must be a detector")
+    for detector in detectors:
+        if role_of(detector) != "detector":
+            raise SceneError(f"sensor {detector.id()!r} is a {detector.class_name()}, must be a detector")
     integrator = scene.integrator()
     if role_of(integrator) != "coherent":
         found = "none" if integrator is None else integrator.class_name()
@@ -51,31 +88,49 @@ def assembly_from_scene(scene: mi.Scene, sensor: mi.Sensor | None = None, spp: i
                 f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: "
                 "its light would be left out, remove it"
             )
-    _require_memory(detector)
+    for detector in detectors:
+        _require_memory(detector)
     shapes = shapes_of(scene, shape)
     medium = medium_around(shapes, shape)
     elements = tuple(elements_of(shapes, shape, medium))
     beam = laser.beam()
     beam, target = _aim(replace(beam, wavelength=beam.wavelength / medium), shape)
     _require_apart(elements)
-    assembly = Assembly(
-        beam=beam,
-        target=target,
-        elements=elements,
-        detector=detector.grid(),
-        options=integrator.options,
-        pose=shape.pose(),
-        sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
-        index=medium,
-    )
-    _require_in_air(elements, f"{detector.where}: the detector's centre", assembly.detector.centre)
-    _require_in_air(elements, f"{shape.where}: the middle of the spot", assembly.spot.point)
-    return assembly
+    assemblies = [
+        Assembly(
+            beam=beam,
+            target=target,
+            elements=elements,
+            detector=detector.grid(),
+            options=integrator.options,
+            pose=shape.pose(),
+            sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
+            index=medium,
+            camera=detector.camera,
+        )
+        for detector in detectors
+    ]
+    for detector, assembly in zip(detectors, assemblies, strict=True):
+        _require_in_air(elements, f"{detector.where}: the detector's centre", assembly.detector.centre)
+    _require_in_air(elements, f"{shape.where}: the middle of the spot", assemblies[0].spot.point)
+    return assemblies
 
 
 def role_of(plugin: object) -> str | None:
     """What a plugin of this package is in a scene, by the name that scenes call it; None for any other."""
     return getattr(plugin, "role", None)
+
+
+def _require_names(names: list[str]) -> None:
+    """SceneError where several detectors do not each have an id that can be part of a file's name."""
+    for name in names:
+        if not name:
+            raise SceneError(f"the scene has {len(names)} detectors, each must have an id: one has none")
+        if not _NAME.fullmatch(name):
+            raise SceneError(
+                f"detector {name!r}: of several detectors each id names files, must be at most 100 letters, digits and "
+                "-_ (also . and spaces in between)"
+            )
 
 
 def _require_memory(detector: mi.Sensor) -> None:
@@ -129,7 +184,8 @@ def _only(candidates: list, kind: str, plugin: str):
         names = ", ".join(candidate.where.partition(" ")[2] for candidate in found)
         tag = f"<{kind} type={plugin!r}>"
         there = f"{len(found)} of {tag}: {names}" if found else f"no {tag}"
-        raise SceneError(f"the scene has {there}, must have exactly one")
+        chosen = ", or one be chosen by its id (--detector)" if found and kind == "sensor" else ""
+        raise SceneError(f"the scene has {there}, must have exactly one{chosen}")
     return found[0]
 
 

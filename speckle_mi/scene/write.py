@@ -110,12 +110,16 @@ def rough_target(frame: Frame = ORIGIN, id: str = "target", inside: Iterable[Plu
 
 def detector(
     frame: Frame, width: int | Default, height: int | Default, pixel_pitch: float | Default = 0.006,
-    samples: int = 1, id: str = "detector",
+    samples: int = 1, id: str = "detector", **camera,
 ) -> Plugin:  # fmt: skip
-    """The detector, which looks along the frame's z, columns against its x: pixels, their pitch [mm], sub-pixels."""
+    """The detector, which looks along the frame's z, columns against its x: pixels, their pitch [mm], sub-pixels.
+
+    camera: ``mean_electrons``, ``read_noise``, ``full_well`` [e-], ``bit_depth``, ...
+    """
     film = Plugin("film", "hdrfilm", values={"width": width, "height": height})
     sampler = [Plugin("sampler", "independent", values={"sample_count": samples})] if samples != 1 else []
-    return Plugin("sensor", "detector", id, frame, values={"pixel_pitch": pixel_pitch}, inside=(film, *sampler))
+    values = {"pixel_pitch": pixel_pitch} | camera
+    return Plugin("sensor", "detector", id, frame, values=values, inside=(film, *sampler))
 
 
 def shape(
