@@ -9,6 +9,11 @@ In a program or a notebook::
     print(smi.Correlator(rest.intensity).shift(moved.intensity))
     print(smi.one_frame_sensitivity(assembly).fits["x"]["u"])
 
+Of several detectors, each maybe with a camera, at once::
+
+    both = smi.Simulations(smi.load_detectors("scenes/two_cameras.xml"))
+    print({name: frame.image.measured.mean() for name, frame in both.frames(smi.Pose(z=0.01)).items()})
+
 What is named here is imported when it is first used. ``python -m speckle_mi`` lists the commands. Importing the package
 does nothing else but make its plugins known to Mitsuba (``laser``, ``rough_target``, ``aperture``, ``lens``,
 ``detector`` and ``coherent``), for the variant that is set and for any that is set later::
@@ -40,8 +45,10 @@ _PUBLIC = {
     "FieldImage": "images.field_image",
     "Pose": "geometry.pose",
     "Simulation": "field.simulation",
+    "Simulations": "field.detectors",
     "expected_sensitivity": "experiments.expectation",
     "fit_sensitivity": "measurement.sensitivity",
+    "load_detectors": "scene.load",
     "load_scene": "scene.load",
     "one_frame_sensitivity": "experiments.one_frame",
     "read_image": "images.pictures",

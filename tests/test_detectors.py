@@ -1,4 +1,4 @@
-"""Several detectors in one scene: bit for bit what scenes of one each give, and every command knows them by their ids."""
+"""Several detectors in one scene: bit for bit what scenes of one each give, known to every command by their ids."""
 
 from __future__ import annotations
 
@@ -190,6 +190,20 @@ def test_images_of_another_camera_are_not_gone_on_from(two, swept, load):
             assert images.are_finished(task) is finished
 
 
+# Programs
+
+
+def test_a_program_has_all_detectors_of_a_scene_file(mitsuba):
+    import speckle_mi as smi
+
+    given = {"width": 64, "height": 48, "point_sources": 40}
+    both = smi.Simulations(smi.load_detectors(SCENE, **given))
+    frames = both.frames(smi.Pose(z=0.01))
+    assert list(frames) == ["left", "right"] and frames["left"].image.measured.max() <= 255
+    with pytest.raises(SceneError, match="load_detectors"):
+        smi.load_scene(SCENE, **given)
+
+
 # Commands
 
 
@@ -211,7 +225,8 @@ def commanded(tmp_path_factory):
     """A sweep and sensitivities of both cameras, by the commands."""
     folder = tmp_path_factory.mktemp("commanded")
     asked = ["--dof", "x,z", "--seeds", "2", *SMALL]
-    done = run("sweep", SCENE, *asked, "--range", "0.05", "--steps", "3", "--images", "tiff", "--out", "out", cwd=folder)
+    steps = ["--range", "0.05", "--steps", "3", "--images", "tiff"]
+    done = run("sweep", SCENE, *asked, *steps, "--out", "out", cwd=folder)
     assert done.returncode == DONE, done.stderr
     done = run("sensitivity", SCENE, *asked, "--out", "s.json", cwd=folder)
     assert done.returncode == DONE, done.stderr

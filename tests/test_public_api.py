@@ -16,7 +16,7 @@ from test_commands import BAD_INPUT, DONE, refused, run
 import speckle_mi
 
 NAMES = {"load_scene", "Assembly", "Pose", "Simulation", "FieldImage", "read_image", "Correlator", "fit_sensitivity",
-         "expected_sensitivity", "one_frame_sensitivity", "theory"}  # fmt: skip
+         "expected_sensitivity", "one_frame_sensitivity", "theory", "Simulations", "load_detectors"}  # fmt: skip
 
 
 def test_the_public_names_are_these_and_each_is_documented():

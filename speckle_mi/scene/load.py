@@ -15,17 +15,35 @@ if TYPE_CHECKING:
 
 
 def load_scene(path: str | os.PathLike, variant: str | None = None, **defaults: object) -> Assembly:
-    """What a scene file describes: laser, target, optics and detector, lengths in mm, float64.
+    """What a scene file of one detector describes: laser, target, optics and detector, lengths in mm, float64.
 
     variant: the Mitsuba variant that reads it (default: the active one where it serves, else ``llvm_ad_mono``), which
     is active afterwards; defaults: values of the scene's ``<default>`` parameters, in the units of the scene.
     Raises SceneError (a ValueError) for a scene that cannot be used, InputError (its base) for an unknown variant,
     OSError for a file that cannot be read.
     """
+    scene = _loaded(path, variant, defaults)
+    from .read import assembly_from_scene
+
+    return assembly_from_scene(scene)
+
+
+def load_detectors(path: str | os.PathLike, variant: str | None = None, **defaults: object) -> dict[str, Assembly]:
+    """What a scene file describes as each of its detectors sees it, by their ids: all but the detector is shared.
+
+    Arguments and errors as of :func:`load_scene`.
+    """
+    scene = _loaded(path, variant, defaults)
+    from .read import assemblies_from_scene
+
+    return assemblies_from_scene(scene)
+
+
+def _loaded(path: str | os.PathLike, variant: str | None, defaults: Mapping[str, object]):
+    """The scene in a file, for a program, whose log level stays as it is."""
     import mitsuba as mi
 
     from ..machine.backend import DEFAULT_VARIANT, is_usable, set_variant
-    from .read import assembly_from_scene
 
     if variant is None:
         variant = mi.variant() if is_usable(mi.variant() or "") else DEFAULT_VARIANT
@@ -34,10 +52,9 @@ def load_scene(path: str | os.PathLike, variant: str | None = None, **defaults: 
     _require_file(path)
     level = mi.log_level()
     try:
-        scene = _opened(path, {name: str(value) for name, value in defaults.items()}, "")
+        return _opened(path, {name: str(value) for name, value in defaults.items()}, "")
     finally:
         mi.set_log_level(level)
-    return assembly_from_scene(scene)
 
 
 def open_scene(path: str, defaults: Sequence[str], variant: str):

@@ -184,7 +184,7 @@ def _only(candidates: list, kind: str, plugin: str):
         names = ", ".join(candidate.where.partition(" ")[2] for candidate in found)
         tag = f"<{kind} type={plugin!r}>"
         there = f"{len(found)} of {tag}: {names}" if found else f"no {tag}"
-        chosen = ", or one be chosen by its id (--detector)" if found and kind == "sensor" else ""
+        chosen = ", or one be chosen by its id (--detector; load_detectors takes all)" if found and kind == "sensor" else ""
         raise SceneError(f"the scene has {there}, must have exactly one{chosen}")
     return found[0]
 
