@@ -99,16 +99,19 @@ def agrees_with_paths(assembly, spot, path):
 
 
 @pytest.mark.parametrize("name", ASTIGMATIC)
-def test_astigmatic_optics_move_the_pattern_to_where_the_path_change_is_stationary(assemble, name):
+def test_astigmatic_optics_move_the_pattern_to_where_the_path_change_is_stationary(assemble, tmp_path, name):
     case = ASTIGMATIC[name]
     spot = np.array([*case["spot"], 0.0])
+    # The reference is that of a point: a small spot, of the beam's spherical wave.
+    points = spot + 0.01 * np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
+    np.savetxt(tmp_path / "points.csv", points, delimiter=",", fmt="%.17g")
     place, turn = case["lens"]
     frame = Frame(np.array(place), tilted(*turn))
     x, y, z = case["detector"]
     assembly = assemble(scene_of(
         integrator_xml(diffraction=False),
-        laser_at(spot, 30.0, 160.0, wavefront_radius=-80.0),
-        target_xml(width=8.0, height=8.0),
+        laser_at(spot, 30.0, 160.0, wavefront_radius=-80.0, beam_radius=None),
+        target_xml(points=str(tmp_path / "points.csv"), roughness=None, point_sources=None),
         element_xml("lens", "lens", frame, diameter=36.0, ior=1.5151, **LENS),
         detector_xml(facing(z, x, y, (5.0, -8.0, 20.0)), width=8, height=8, pixel_pitch=0.01),
     ))  # fmt: skip

@@ -9,13 +9,15 @@ import numpy as np
 from .. import theory
 from ..field.simulation import plan_of
 from ..geometry.outline import Circle
+from ..geometry.plane import PlaneGrid
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import trace
 from ..plan.plan import Plan
 from ..plan.way import Channel
 from ..scene.assembly import Assembly
-from .chief_ray import STEP, ChiefRay, SeenAxes, Zones, axes_as_seen, chief_ray, launch_to, opening_middle
+from .chief_ray import SeenAxes, axes_as_seen, launch_to, opening_middle
+from .ray_bundle import STEP, RayBundle
 
 PATTERN_AXES = ("u", "v", "x", "y")
 CENTRE_AXES = ("cog_u", "cog_v")
@@ -108,49 +110,39 @@ def _beam_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -
 def _pupil_correlation(assembly: Assembly, channel: Channel, dof: str, displacements: np.ndarray) -> np.ndarray | None:
     if len(channel.openings) != 1 or not isinstance(channel.openings[0].plane.outline, Circle):
         return None
-    plane = channel.openings[0].plane
-    u, v = plane.frame.axes[:, 0], plane.frame.axes[:, 1]
-    if not channel.leg(0):
-        per_motion = _free_space(assembly, plane.frame.origin, u, v)
-    else:
-        system = Sequence((*channel.leg(0), channel.openings[0].end))
-        per_motion = _imaged(assembly, chief_ray(assembly, channel, system, u, v, Zones.middle(channel)))
+    per_motion = _at_opening(assembly, channel)
     if per_motion is None:
         return None
+    radius = channel.openings[0].plane.outline.radius
     moved = np.linalg.norm(per_motion[:, DEGREES_OF_FREEDOM.index(dof)])
     size = np.abs(displacements) * (np.pi / 180 if is_rotation(dof) else 1.0)
-    return theory.decorrelation_circular_pupil(np.minimum(moved * size / (2 * plane.outline.radius), 1.0))
-
-
-def _light_at_spot(assembly: Assembly) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-    """Spot, origin and axes of the target, direction to the source and the wavefront's radius there: what theory takes.
-
-    The spot lies beside the beam's axis where it is the middle of the user's own points.
-    """
-    spot, frame, beam = assembly.spot.point, assembly.target.frame, assembly.beam
-    return spot, frame.origin, frame.axes, beam.directions_to_source(spot[None])[0], beam.wavefront_radius_at(spot)
-
-
-def _free_space(assembly: Assembly, place: np.ndarray, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """(2, 6) displacement [mm/mm, mm/rad] of the free-space pattern at a place, along u and v."""
-    return theory.first_order_displacement(*_light_at_spot(assembly), place, u, v, assembly.spot.normal)
+    return theory.decorrelation_circular_pupil(np.minimum(moved * size / (2 * radius), 1.0))
 
 
 def _pattern_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | None:
-    grid = channel.grid
-    if not channel.has_power:
-        return _free_space(assembly, grid.centre, grid.u, grid.v)
-    system = Sequence((*channel.interactions, detector_plane(grid)))
-    return _imaged(assembly, chief_ray(assembly, channel, system, grid.u, grid.v, Zones.over_opening(channel)))
+    """(2, 6) displacement [mm/mm, mm/rad] of the pattern on the detector.
 
-
-def _imaged(assembly: Assembly, view: ChiefRay | None) -> np.ndarray | None:
-    """(2, 6) displacement [mm/mm, mm/rad] of the pattern that a system forms at the end of a chief ray."""
-    if view is None:
+    Behind openings it is that of all the light on the detector, elsewhere that in the detector's middle.
+    """
+    launch = launch_to(channel, assembly.spot.point[None], opening_middle(channel))
+    if launch is None:
         return None
-    return theory.system_displacement(
-        *_light_at_spot(assembly), view.sight, view.across, view.magnification, view.lever, assembly.spot.normal
-    )
+    end, grid = detector_plane(channel.grid), channel.grid
+    bundle = RayBundle(assembly, channel.interactions, channel.rims, end, grid, launch[0])
+    return bundle.displacement(at_middle=not channel.openings)
+
+
+def _at_opening(assembly: Assembly, channel: Channel) -> np.ndarray | None:
+    """(2, 6) displacement [mm/mm, mm/rad] of the light in the middle of the first opening, along its x and y."""
+    opening = channel.openings[0]
+    launch = launch_to(channel, assembly.spot.point[None], opening_middle(channel))
+    if launch is None:
+        return None
+    frame, side = opening.plane.frame, 2 * opening.plane.outline.reach
+    grid = PlaneGrid(frame.origin, frame.axes[:, 0], frame.axes[:, 1], side, (1, 1))
+    before = channel.interactions[: opening.position]
+    rims = tuple(rim for rim in channel.rims if rim.number < opening.position)
+    return RayBundle(assembly, before, rims, opening.end, grid, launch[0]).displacement(at_middle=True)
 
 
 def _centre_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | None:

@@ -1,5 +1,6 @@
 """Closed forms that results are compared with: displacement, decorrelation, speckle statistics, paraxial optics."""
 
+from .bundle import bundle_displacement
 from .decorrelation import (
     beam_displacement_of_material,
     decorrelation_axial,
@@ -28,6 +29,7 @@ from .speckle import (
 __all__ = [
     "CardinalPoints",
     "beam_displacement_of_material",
+    "bundle_displacement",
     "cardinal_points",
     "centre_of_gravity_aperture",
     "coherence_gaussian_beam",
