@@ -7,7 +7,7 @@ In a program or a notebook::
     simulation = smi.Simulation(assembly)
     rest, moved = (simulation.frame(smi.Pose(x=x)).image for x in (0.0, 0.01))
     print(smi.Correlator(rest.intensity).shift(moved.intensity))
-    print(smi.one_frame_sensitivity(assembly).fits["x"]["u"])
+    print(simulation.sensitivity().fits["x"]["u"])
 
 Of several detectors, each maybe with a camera, at once::
 
@@ -44,8 +44,8 @@ _PUBLIC = {
     "Correlator": "measurement.correlator",
     "FieldImage": "images.field_image",
     "Pose": "geometry.pose",
-    "Simulation": "field.simulation",
-    "Simulations": "field.detectors",
+    "Simulation": "experiments.simulation:SensorSimulation",
+    "Simulations": "experiments.simulation:SensorSimulations",
     "expected_sensitivity": "experiments.expectation",
     "fit_sensitivity": "measurement.sensitivity",
     "load_detectors": "scene.load",
@@ -54,7 +54,7 @@ _PUBLIC = {
     "read_image": "images.pictures",
     "theory": "theory",
 }
-"""What a program needs, and where it is defined."""
+"""What a program needs, and where it is defined: by another name behind a colon."""
 
 __all__ = list(_PUBLIC)
 
@@ -66,8 +66,9 @@ def __getattr__(name: str) -> object:
     if name not in _PUBLIC:
         public = ", ".join(_PUBLIC)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}, its public names are {public}")
-    module = import_module(f"{__name__}.{_PUBLIC[name]}")
-    return module if name == "theory" else getattr(module, name)
+    place, _, own = _PUBLIC[name].partition(":")
+    module = import_module(f"{__name__}.{place}")
+    return module if name == "theory" else getattr(module, own or name)
 
 
 def __dir__() -> list[str]:

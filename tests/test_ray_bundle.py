@@ -17,7 +17,7 @@ from speckle_mi.optics.trace import trace
 from speckle_mi.theory.bundle import bundle_displacement
 
 SMALL_SPOT = 1e-5
-"""Agreement with a closed form for a point [1], of a spot of 1e-4 of the distance: errors are its square, less rounding."""
+"""Agreement with a closed form for a point [1], of a spot of 1e-4 of the distance: its square, less rounding."""
 
 SMALL_STOP = 5e-3
 """Agreement with the optics of one chief ray, relative to the largest entry: what aberrations are left

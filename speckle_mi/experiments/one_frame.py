@@ -14,7 +14,6 @@ import numpy as np
 from scipy import stats
 
 from ..errors import InputError
-from ..field.derivatives import LOOSEST
 from ..field.detectors import Simulations
 from ..field.simulation import Simulation
 from ..geometry.plane import PlaneGrid
@@ -52,7 +51,8 @@ class OneFrameResult:
     """Velocities of the patterns of several surfaces, as they are measured.
 
     linear, curved: of every surface, the velocity without and with curvature over the detector (the same where there
-    are too few speckles); seeds: of the surfaces; pixels: how many were looked at; speckles: about how many there are.
+    are too few speckles); seeds: of the surfaces; pixels: how many were looked at; speckles: about how many there are;
+    error: relative L2 error that fields and derivatives were computed to.
     """
 
     linear: list[PatternVelocity] = field(default_factory=list)
@@ -61,6 +61,7 @@ class OneFrameResult:
     pixels: int = 0
     speckles: float = 0.0
     seconds: float = 0.0
+    error: float = 0.0
 
 
 class OneFrame:
@@ -175,7 +176,6 @@ def sensitivity_of(
 
     width: of the range of evenly spread displacements [mm or deg] for which the scatter of shifts is stated.
     """
-    tolerance = min(simulation.assembly.options.tolerance, LOOSEST)
     assembly, plan = simulation.assembly, simulation.plan(Pose())
     seen, expected = axes_as_seen(assembly, plan), expected_sensitivity(assembly, plan)
     fits: dict[str, dict[str, Sensitivity]] = {}
@@ -195,7 +195,7 @@ def sensitivity_of(
             if axis in CENTRE_AXES:
                 fits[dof][axis] = _not_measured(theory, unit)
             else:
-                fit, spread = _fit(linear.axis(row), curved.axis(row), tolerance * size, theory, unit)
+                fit, spread = _fit(linear.axis(row), curved.axis(row), result.error * size, theory, unit)
                 fits[dof][axis] = replace(fit, scatter_um=1e3 * spread * width / np.sqrt(12))
                 scatter[dof][axis] = spread
         curvature = np.mean([one.curvature[number] for one in result.curved]) * scale**2
@@ -207,14 +207,20 @@ def sensitivity_of(
 def one_frame_sensitivity(
     assembly: Assembly, dofs: tuple[str, ...] = DEGREES_OF_FREEDOM, surfaces: int = SURFACES, width: float = RANGE
 ) -> OneFrameSensitivity:
+    """Sensitivities of an assembly to the target's motions, see :func:`measured_sensitivity`."""
+    return measured_sensitivity(Simulation(assembly), dofs, surfaces, width)
+
+
+def measured_sensitivity(
+    simulation: Simulation, dofs: tuple[str, ...] = DEGREES_OF_FREEDOM, surfaces: int = SURFACES, width: float = RANGE
+) -> OneFrameSensitivity:
     """Sensitivities to the target's motions from one frame of each of some surfaces, beside theory.
 
     dofs: which of x, y, z, rx, ry, rz; surfaces: how many, of the scene's seed and those that follow (the user's own
     points are one); width: of the range of displacements [mm or deg] for which the scatter of shifts is stated. Raises
     SceneError where the field cannot be computed as asked, InputError where the detector stays dark.
     """
-    simulation = Simulation(assembly)
-    measurement = OneFrame(simulation)
+    assembly, measurement = simulation.assembly, OneFrame(simulation)
     count = surfaces if assembly.target.points is None else 1
     measurement.measure(range(assembly.seed, assembly.seed + count))
     return sensitivity_of(simulation, measurement.result, dofs, width)

@@ -39,6 +39,9 @@ FEW_PAIRS = 1 << 28
 LOOSEST = 1e-4
 """Tolerance [relative L2] of the sums at most: a derivative's part that counts is smaller than the whole of it."""
 
+EVERY_PAIR = 1e-6
+"""Error [relative L2] of a pass over all pairs, whose phasors are float32."""
+
 QUADRATURE = 1e-7
 """Error of an integral over an opening, relative to its L2 scale."""
 
@@ -48,20 +51,32 @@ class DerivativeFields:
     """The field on m places of the detector and its first derivatives, complex128.
 
     field: (m,); by_motion: (6, m) by the target's motions x, y, z [1/mm] and rx, ry, rz [1/rad], material scatterers
-    staying what they are; along: (2, m) by steps of the place along u and v [1/mm].
+    staying what they are; along: (2, m) by steps of the place along u and v [1/mm]; error: relative L2 error that each
+    was computed to, less what all scatterers have in common.
     """
 
     field: np.ndarray
     by_motion: np.ndarray
     along: np.ndarray
+    error: float = 0.0
+
+    def __add__(self, other: DerivativeFields) -> DerivativeFields:
+        return DerivativeFields(
+            self.field + other.field, self.by_motion + other.by_motion, self.along + other.along,
+            max(self.error, other.error),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
 class _Rates:
-    """Values (7, n) of field and derivatives at n places; a derivative is its row plus its constant times the field."""
+    """Values (7, n) of field and derivatives at n places; a derivative is its row plus its constant times the field.
+
+    error: relative L2 error of the rows.
+    """
 
     values: np.ndarray
     constants: np.ndarray
+    error: float
 
     @property
     def whole(self) -> np.ndarray:
@@ -84,10 +99,7 @@ def derivative_fields(
     if scatterers.count == 0:
         return total
     for channel in plan.channels:
-        part = _of_channel(setup, scatterers, channel, pixels, lobe)
-        total = DerivativeFields(
-            total.field + part.field, total.by_motion + part.by_motion, total.along + part.along
-        )
+        total += _of_channel(setup, scatterers, channel, pixels, lobe)
     return total
 
 
@@ -107,7 +119,7 @@ def _of_channel(
         rates, along = _without_openings(setup, scatterers, channel, places, lobe)
     else:
         rates, along = _over_openings(setup, scatterers, channel, places, lobe)
-    return DerivativeFields(factor * rates.values[0], factor * rates.whole, factor * along)
+    return DerivativeFields(factor * rates.values[0], factor * rates.whole, factor * along, rates.error)
 
 
 def _motions(setup: Setup) -> list[Motion]:
@@ -150,7 +162,8 @@ def _in_free_space(setup: Setup, scatterers: Scatterers, places: PlanePoints) ->
     found = free_space_rates(scatterers.position, scatterers.amplitude, gradients, places, beam.wavelength)
     rows = np.array([found.by_motion(motion.shift, motion.turn, motion.origin) for motion in _motions(setup)])
     common = rows @ found.field.conj() / max(np.vdot(found.field, found.field).real, 1e-300)
-    return _Rates(np.array([found.field, *(rows - common[:, None] * found.field)]), common), found.along
+    values = np.array([found.field, *(rows - common[:, None] * found.field)])
+    return _Rates(values, common, EVERY_PAIR), found.along
 
 
 def beam_gradients(beam, points: np.ndarray) -> np.ndarray:
@@ -173,7 +186,7 @@ def _over_openings(setup, scatterers: Scatterers, channel: Channel, places: Plan
             rates = _on_first(setup, scatterers, channel, path, nodes, tolerance, lobe)
         else:
             rates = _carried(rates, channel, path, sources, nodes, how)
-        rates = replace(rates, values=rates.values * areas)
+        rates = replace(rates, values=rates.values * areas, error=options.tolerance)
         sources, opening = nodes.points(), (rim.normal, rim.index)
     path = leg_path(channel, len(channel.openings), detector_plane(channel.grid), opening, wavelength)
     if isinstance(path, RayleighSommerfeld):
@@ -228,7 +241,7 @@ def _at_first(setup: Setup, scatterers: Scatterers, path, target: PlanePoints, l
             step = radiation.STEP if np.any(motion.turn) else _lobe_step(setup, target)
             row = row + field(path, LobeRate(lobe, motion, None, step))
         rows.append(row)
-    return _Rates(np.array(rows), np.array(constants))
+    return _Rates(np.array(rows), np.array(constants), setup.assembly.options.tolerance)
 
 
 def _lit(beam, motion: Motion, reach: float):

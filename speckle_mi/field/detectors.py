@@ -23,6 +23,9 @@ class Simulations:
     ValueError. Each detector's frames are bit for bit those of a simulation of its own.
     """
 
+    of_one: type[Simulation] = Simulation
+    """What each detector's frames are made by."""
+
     def __init__(self, assemblies: Mapping[str, Assembly]) -> None:
         if not assemblies:
             raise ValueError("assemblies: must hold at least one detector's")
@@ -33,7 +36,7 @@ class Simulations:
             ):
                 raise ValueError(f"assembly of {name!r}: differs in more than its detector from the first one")
         tracer = Tracer(first)
-        self.by_detector = {name: Simulation(assembly, tracer) for name, assembly in assemblies.items()}
+        self.by_detector = {name: self.of_one(assembly, tracer) for name, assembly in assemblies.items()}
 
     @property
     def first(self) -> Simulation:
