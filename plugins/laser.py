@@ -24,6 +24,15 @@ Laser (:monosp:`laser`)
    - Radius of curvature of the wavefront where the beam meets the target at rest [mm]; positive: diverging,
      negative: converging. (Default: inf, collimated)
    - |exposed|
+ * - beam_radius_x, beam_radius_y
+   - |float|
+   - The same as ``beam_radius``, along the laser's local x and y axes: an elliptical beam. (Default: ``beam_radius``)
+   - |exposed|
+ * - wavefront_radius_x, wavefront_radius_y
+   - |float|
+   - The same as ``wavefront_radius``, along the laser's local x and y axes: an astigmatic beam.
+     (Default: ``wavefront_radius``)
+   - |exposed|
 
 A coherent Gaussian beam. Its light reaches the target unobstructed: it is not traced through the elements between
 target and detector. The wavefront radius is independent of the laser's distance, since collimating optics
@@ -36,6 +45,12 @@ is lit by the radius there. Wavefronts are spheres of the local radius, so that 
 spherical wave. The field's relative error is about the square of the divergence, lambda/(pi w_waist) [rad]: 3e-6 for a
 waist of 0.12 mm, 2e-3 for one of 5 um; more than 0.35 rad is refused.
 
+A laser diode's beam is wider along its fast axis, and may have its two waists at two places. The local x and y axes are
+the beam's own: ``to_world`` turns them (``up`` of a ``lookat`` is the local y axis as far as the direction allows, and
+x is across both). Each axis then has its own waist and half of Gouy's phase. Wavefronts are spheres where both
+curvatures are equal, cylinders where one is zero, and between these to the square of the divergence; scatterers are
+counted in the ellipse of both radii (``point_sources`` of the target).
+
 Uniform light has the same amplitude everywhere; spherical, it goes through a point focus, behind which it diverges
 with the opposite sign.
 
@@ -47,6 +62,12 @@ with the opposite sign.
             <float name="wavelength" value="632.8"/>
             <float name="beam_radius" value="0.12"/>
             <float name="wavefront_radius" value="-750"/>
+        </emitter>
+        <emitter type="laser">   <!-- a diode: wider across the plane of incidence, astigmatic -->
+            <transform name="to_world"><lookat origin="-28.68,0,40.96" target="0,0,0" up="0,1,0"/></transform>
+            <float name="wavelength" value="785"/>
+            <float name="beam_radius_x" value="0.1"/> <float name="beam_radius_y" value="0.3"/>
+            <float name="wavefront_radius_x" value="-200"/> <float name="wavefront_radius_y" value="-280"/>
         </emitter>
 
     .. code-tab:: python
@@ -62,23 +83,12 @@ import mitsuba as mi
 import numpy as np
 
 from speckle_mi.scattering.beam import Beam
-from speckle_mi.scene.errors import SceneError
 from speckle_mi.scene.parameters import describe, value_of
-from ._numbers import check_numbers, expose, read_numbers
+from ._beam import beam_of, check_beam, read_beam
+from ._numbers import check_numbers, expose, in_words, read_numbers
 from ._placement import Placement
 
-_LIMITS = {
-    "wavelength": {"at_least": 1.0, "at_most": 1e6, "unit": "nm"},
-    "beam_radius": {"at_least": 1e-6, "at_most": 1e5, "infinite": True, "unit": "mm"},
-    "wavefront_radius": {"infinite": True, "unit": "mm"},
-}
-_DEFAULTS = {"beam_radius": np.inf, "wavefront_radius": np.inf}
-
-_STEEPEST = 0.35
-"""Largest divergence [rad] of a beam: its field is then off by a tenth, see :class:`Beam`."""
-
-_SHORTEST, _LONGEST = 1e-9, 1e15
-"""Size of a wavefront radius [mm] that double precision can square and take from a path."""
+_LIMITS = {"wavelength": {"at_least": 1.0, "at_most": 1e6, "unit": "nm"}}
 
 
 class Laser(mi.Emitter):
@@ -87,38 +97,19 @@ class Laser(mi.Emitter):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        read_numbers(self, props, _LIMITS, _DEFAULTS)
+        read_numbers(self, props, _LIMITS)
+        self.shape = read_beam(self, props)
         self._check()
         super().__init__(props)
         self.m_flags = mi.EmitterFlags.DeltaDirection
 
     def beam(self) -> Beam:
         """The beam, with its wavefront radius given at the laser's own place until it is aimed at a target."""
-        frame = self.placement.frame
-        return Beam(
-            origin=frame.origin,
-            axis=frame.axes[:, 2],
-            radius=value_of(self.beam_radius),
-            wavefront_radius=value_of(self.wavefront_radius),
-            wavelength=value_of(self.wavelength) * 1e-6,
-            reference=frame.origin,
-        )
+        return beam_of(self, value_of(self.wavelength) * 1e-6)
 
     def _check(self) -> None:
         check_numbers(self, _LIMITS)
-        radius = abs(value_of(self.wavefront_radius))
-        if not (_SHORTEST <= radius <= _LONGEST or np.isinf(radius)):
-            raise SceneError(
-                f"{self.where}: parameter 'wavefront_radius' is {value_of(self.wavefront_radius):g} mm, must not be 0 "
-                f"but {_SHORTEST:g} to {_LONGEST:g} mm in size, or inf (collimated)"
-            )
-        divergence = self.beam().divergence
-        if divergence > _STEEPEST:
-            raise SceneError(
-                f"{self.where}: a beam of beam_radius {value_of(self.beam_radius):g} mm and wavefront_radius "
-                f"{value_of(self.wavefront_radius):g} mm diverges by {divergence:.3g} rad from its waist, must diverge "
-                f"by at most {_STEEPEST} rad: steeper light is not a Gaussian beam"
-            )
+        check_beam(self, self.shape, self.beam)
 
     # What other integrators see: a collimated beam whose irradiance is that of one unit of power.
 
@@ -148,10 +139,12 @@ class Laser(mi.Emitter):
         return mi.Spectrum(0.0)
 
     def _irradiance(self, across):
-        radius = value_of(self.beam_radius)
-        if np.isinf(radius):
+        beam = self.beam()
+        if beam.is_uniform:
             return mi.Spectrum(1.0)
-        return mi.Spectrum(2 / (np.pi * radius**2) * dr.exp(-2 * dr.squared_norm(across) / radius**2))
+        inverse = [mi.Vector3f(*(axis / radius).tolist()) for axis, radius in zip(beam.across, beam.radii, strict=True)]
+        squares = sum(dr.dot(across, axis) ** 2 for axis in inverse)
+        return mi.Spectrum(2 / (np.pi * beam.radius**2) * dr.exp(-2 * squares))
 
     def bbox(self):
         return self.placement.bbox()
@@ -160,17 +153,14 @@ class Laser(mi.Emitter):
         return self.placement.to_world
 
     def traverse(self, callback) -> None:
-        expose(self, _LIMITS, callback)
+        expose(self, (*_LIMITS, *self.shape), callback)
 
     def parameters_changed(self, keys) -> None:
         self.placement.parameters_changed(keys, self.where)
         self._check()
 
     def to_string(self) -> str:
-        return (
-            f"Laser[wavelength = {value_of(self.wavelength)} nm, beam_radius = {value_of(self.beam_radius)} mm, "
-            f"wavefront_radius = {value_of(self.wavefront_radius)} mm]"
-        )
+        return f"Laser[wavelength = {value_of(self.wavelength)} nm, {in_words(self, self.shape, ' mm')}]"
 
 
 mi.register_emitter("laser", Laser)

@@ -61,11 +61,11 @@ def stationary_displacement(assembly, spot, dof, path):
     path: length from points (4, 3) to a pixel (3,), without a word of ray optics.
     """
     grid, beam = assembly.detector, assembly.beam
-    focus = beam.reference - beam.wavefront_radius * beam.axis
+    focus = beam.reference - beam.wavefront_radii[0] * beam.axis
     tangents = np.eye(3)[:2]
 
     def whole(points, pixel):
-        light = np.sign(beam.wavefront_radius) * np.linalg.norm(points - focus, axis=1)
+        light = np.sign(beam.wavefront_radii[0]) * np.linalg.norm(points - focus, axis=1)
         return light + path(points, pixel)
 
     h = 0.02
@@ -176,11 +176,11 @@ def displacement_of_least_variance(assembly, dof):
     even = replace(assembly.target.surface, roughness=0.0, density=20_000.0)
     lit = even.scatterers(beam, frame).at(frame).lit_by(beam)
     places, weight = frame.to_local(lit.position), np.abs(lit.amplitude) ** 2 / np.sum(np.abs(lit.amplitude) ** 2)
-    focus = beam.reference - beam.wavefront_radius * beam.axis
+    focus = beam.reference - beam.wavefront_radii[0] * beam.axis
 
     def path(pose, pixel):
         moved = frame.moved(pose).to_world(places)
-        light = np.sign(beam.wavefront_radius) * np.linalg.norm(moved - focus, axis=1)
+        light = np.sign(beam.wavefront_radii[0]) * np.linalg.norm(moved - focus, axis=1)
         return light + np.linalg.norm(moved - pixel, axis=1)
 
     def change(plus, minus, step):

@@ -152,7 +152,7 @@ def test_image_in_focus_does_not_move_with_tilt_and_out_of_focus_it_does_as_theo
             np.zeros(3),
             np.eye(3),
             -beam.axis,
-            beam.wavefront_radius,
+            beam.wavefront_radii[0],
             np.array([0.0, 0, 1]),
             grid.u,
             grid.v,
@@ -242,7 +242,7 @@ def test_speckle_shift_of_the_integrated_sensor_is_the_tilted_lasers_at_its_dist
     )
     beam, grid = assembly.beam, assembly.detector
     expected = theory.first_order_displacement(
-        np.zeros(3), np.zeros(3), np.eye(3), -beam.axis, beam.wavefront_radius, grid.centre, grid.u, grid.v
+        np.zeros(3), np.zeros(3), np.eye(3), -beam.axis, beam.wavefront_radii[0], grid.centre, grid.u, grid.v
     )
     a = displacement
     moved, _ = shifts(assembly, [Pose(x=a), Pose(x=-a), Pose(y=a), Pose(y=-a)], range(4), window=32)

@@ -68,7 +68,7 @@ def first_order(assembly):
     target, grid = assembly.target, assembly.detector
     return theory.per_degree(
         theory.first_order_displacement(
-            assembly.spot.point, target.frame.origin, target.frame.axes, -assembly.beam.axis, assembly.beam.wavefront_radius,
+            assembly.spot.point, target.frame.origin, target.frame.axes, -assembly.beam.axis, assembly.beam.wavefront_radii[0],
             grid.centre, grid.u, grid.v, assembly.spot.normal,
         )
     )

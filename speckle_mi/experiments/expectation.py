@@ -85,26 +85,24 @@ def expected_correlation(
 
 def _is_spot_of_beam(assembly: Assembly) -> bool:
     """Whether what scatters lies under a beam of finite width, and is not the user's points or all there is."""
-    return assembly.target.points is None and bool(np.isfinite(assembly.beam.radius))
+    return assembly.target.points is None and not assembly.beam.is_uniform
 
 
 def _beam_correlation(assembly: Assembly, dof: str, displacements: np.ndarray) -> np.ndarray | None:
     if not _is_spot_of_beam(assembly):
         return None
-    target = assembly.target
+    target, beam = assembly.target, assembly.beam
     across = [
-        np.linalg.norm(
-            theory.beam_displacement_of_material(
-                Pose(**{dof: float(displacement)}),
-                assembly.spot.point,
-                target.frame.origin,
-                target.frame.axes,
-                -assembly.beam.axis,
-            )
+        theory.beam_displacement_of_material(
+            Pose(**{dof: float(displacement)}),
+            assembly.spot.point,
+            target.frame.origin,
+            target.frame.axes,
+            -beam.axis,
         )
         for displacement in displacements
     ]
-    return theory.decorrelation_in_plane(np.array(across), assembly.beam.radius)
+    return theory.decorrelation_elliptical_beam(np.array(across), beam.radii, beam.across)
 
 
 def _pupil_correlation(assembly: Assembly, channel: Channel, dof: str, displacements: np.ndarray) -> np.ndarray | None:

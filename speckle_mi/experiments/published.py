@@ -86,9 +86,9 @@ def published_assembly(assembly: Assembly) -> PublishedAssembly | None:
 def _has_the_light(assembly: Assembly) -> bool:
     beam = assembly.beam
     return (
-        bool(np.isfinite(beam.radius))
+        not beam.is_uniform
         and _close(beam.wavelength, WAVELENGTH)
-        and _close(beam.wavefront_radius, WAVEFRONT_RADIUS)
+        and all(_close(radius, WAVEFRONT_RADIUS) for radius in beam.wavefront_radii)
         and abs(beam.reference_path - LASER_DISTANCE) < LENGTH
     )
 

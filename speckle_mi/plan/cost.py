@@ -104,9 +104,9 @@ def expected_scatterers(assembly: Assembly) -> float:
         return float(len(target.points.points))
     surface: RoughSurface = target.surface
     area = float(np.sum(surface.facets.area))
-    if np.isfinite(beam.radius):
+    if not beam.is_uniform:
         slope = max(abs(float(assembly.spot.normal @ beam.axis)), 1e-3)
-        area = min(area, np.pi * beam.cutoff**2 / slope)
+        area = min(area, np.pi * np.prod(beam.cutoffs) / slope)
     return surface.density * area
 
 

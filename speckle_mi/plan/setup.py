@@ -10,7 +10,7 @@ import numpy as np
 from ..geometry.frames import Frame
 from ..geometry.pose import Pose
 from ..propagation.costs import RECORDED, Costs
-from ..scattering.beam import TRUNCATION
+from ..scattering.beam_kernel import TRUNCATION
 from ..scene.assembly import Assembly, Spot
 from .tracer import Tracer
 
@@ -54,7 +54,10 @@ class Setup:
         along = beam.axis - (beam.axis @ normal) * normal
         first = along / np.linalg.norm(along) if np.linalg.norm(along) > 1e-9 else self.frame.axes[:, 0]
         second = np.cross(normal, first)
-        across = min(TRUNCATION * beam.radius_at(spot), largest)
-        sizes = (min(across / max(abs(float(normal @ beam.axis)), 1e-3), largest), across)
-        ends = (size * sign * axis for size, axis in zip(sizes, (first, second), strict=True) for sign in (-1, 1))
+        tangents = np.stack([first, second])
+        # (p.x/X)^2 + (p.y/Y)^2 = 1 at its edge, p in the surface.
+        lit = (beam.across @ tangents.T) / np.minimum(TRUNCATION * beam.radii_at(spot), largest)[:, None]
+        inverse_squares, turn = np.linalg.eigh(lit.T @ lit)
+        sizes = np.minimum(1 / np.sqrt(np.maximum(inverse_squares, largest**-2)), largest)
+        ends = (size * sign * axis for size, axis in zip(sizes, turn.T @ tangents, strict=True) for sign in (-1, 1))
         return np.array([spot, *(spot + end for end in ends)])

@@ -1,48 +1,81 @@
-"""The laser's field on the target: a Gaussian beam through its waist, or uniform light of plane or spherical waves."""
+"""The laser's field on the target: a Gaussian beam through its waists, or uniform light of plane or curved waves."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import drjit as dr
 import numpy as np
 
-from ..machine.backend import arrays, opaque, opaque_vector
-
-TRUNCATION = 3.0
-"""Scatterers are summed out to this many beam radii: beyond lies 1.5e-8 of the power."""
-
-_FOCUS = 1e-200
-"""Least square of the beam's radius over that at the reference point: uniform light is finite in its point focus."""
+from ..geometry.rotation import vectors_across
+from ..machine.backend import arrays
+from .beam_kernel import FOCUS, TRUNCATION, BeamKernel
 
 
 @dataclass(frozen=True)
 class Beam:
     """The laser beam as it arrives at the target.
 
-    origin: (3,) place of the laser [mm]; axis: (3,) unit direction of propagation; radius: 1/e^2 intensity radius
-    perpendicular to the axis at ``reference`` [mm], inf = uniform; wavefront_radius: signed radius of curvature at
-    ``reference`` [mm], positive for a diverging wave, inf = collimated; wavelength [mm]; reference: (3,) point of the
-    axis at the target at rest [mm].
+    origin: (3,) place of the laser [mm]; axes: (3, 3) unit columns, the beam's principal axes x, y and its direction of
+    propagation; radii: (2,) 1/e^2 intensity radii along x and y at ``reference`` [mm], inf = uniform;
+    wavefront_radii: (2,) signed radii of curvature along x and y at ``reference`` [mm], positive for a diverging wave,
+    inf = plane; wavelength [mm]; reference: (3,) point of the axis at the target at rest [mm].
 
-    It is the lowest Gaussian mode of complex parameter q = q_0 + s, s the distance along the axis from ``reference``
-    and 1/q_0 = 1/R_0 + i lambda/(pi w_0^2) the given values there (phasor e^{+ikL}; A. E. Siegman, Lasers (1986),
-    chapter 17):
+    Along either axis it is the lowest Gaussian mode of complex parameter q = q_0 + s, s the distance along the beam
+    from ``reference`` and 1/q_0 = 1/R_0 + i lambda/(pi w_0^2) the given values there (phasor e^{+ikL}; A. E. Siegman,
+    Lasers (1986), chapters 16 and 17). With 1/q_x = c_x + i lambda/(pi w_x^2), the same for y, and C the curvatures'
+    matrix diag(c_x, c_y), the field at r = (x, y) across the beam is
 
-        E = (q_0/q) exp(-r^2/w^2) exp(ik [s + sqrt(R^2 + r^2) - R]),   1/q = 1/R + i lambda/(pi w^2),
+        E = sqrt(q_x0 q_y0/(q_x q_y)) exp(-x^2/w_x^2 - y^2/w_y^2) exp(ik [s + r.Cr/(1 + sqrt(1 + |Cr|^2))]),
 
-    so that radius w, wavefront radius R, amplitude and Gouy's phase (in q_0/q) are right before, in and behind the
-    waist. Wavefronts are spheres of the local radius R, not the mode's paraboloids: where the waist is far it is the
-    exact spherical wave. Uniform light has amplitude 1 everywhere, and its phase jumps by -pi in its point focus. The
-    error of the Gaussian field is about the square of the beam's divergence lambda/(pi w_waist) [rad].
+    so that radii, curvatures, amplitude and Gouy's phase (half a mode's from either root) are right before, in, between
+    and behind the two waists. Wavefronts are no paraboloids: where both curvatures are equal they are spheres,
+    sqrt(R^2 + r^2) - R, where one is zero cylinders. Where the waist is far a round beam is the exact spherical wave.
+    Uniform light has amplitude 1 everywhere, and its phase jumps by -pi/2 in each of its line foci, -pi in a point
+    focus. The error of the Gaussian field is about the square of the beam's divergence lambda/(pi w_waist) [rad].
     """
 
     origin: np.ndarray
-    axis: np.ndarray
-    radius: float
-    wavefront_radius: float
+    axes: np.ndarray
+    radii: np.ndarray
+    wavefront_radii: np.ndarray
     wavelength: float
     reference: np.ndarray
+
+    @classmethod
+    def round(
+        cls, origin: np.ndarray, axis: np.ndarray, radius: float, wavefront_radius: float, wavelength: float,
+        reference: np.ndarray,
+    ) -> Beam:  # fmt: skip
+        """A beam that is the same in all directions across its axis (3,)."""
+        axis = np.asarray(axis, dtype=np.float64)
+        axes = np.column_stack([*vectors_across(axis), axis])
+        return cls(origin, axes, np.full(2, float(radius)), np.full(2, float(wavefront_radius)), wavelength, reference)
+
+    @property
+    def axis(self) -> np.ndarray:
+        """(3,) unit direction of propagation."""
+        return self.axes[:, 2]
+
+    @property
+    def across(self) -> np.ndarray:
+        """(2, 3) unit vectors along the principal axes."""
+        return self.axes[:, :2].T
+
+    @property
+    def is_uniform(self) -> bool:
+        """Whether its amplitude is the same everywhere."""
+        return bool(np.isinf(self.radii[0]))
+
+    @property
+    def is_round(self) -> bool:
+        """Whether it is the same in all directions across its axis."""
+        return bool(self.radii[0] == self.radii[1] and self.wavefront_radii[0] == self.wavefront_radii[1])
+
+    @property
+    def radius(self) -> float:
+        """Radius of the circle that is as large as the beam's cross-section at the reference point [mm]."""
+        x, y = (float(radius) for radius in self.radii)
+        return x if x == y else float(np.sqrt(x) * np.sqrt(y))
 
     @property
     def wavenumber(self) -> float:
@@ -50,23 +83,22 @@ class Beam:
         return 2 * np.pi / self.wavelength
 
     @property
-    def inverse_parameter(self) -> complex:
-        """1/q_0 = 1/R_0 + i lambda/(pi w_0^2) at the reference point [1/mm]."""
-        spread = 0.0 if np.isinf(self.radius) else self.wavelength / (np.pi * self.radius**2)
-        return complex(1 / self.wavefront_radius, spread)
+    def inverse_parameters(self) -> np.ndarray:
+        """(2,) 1/q_0 = 1/R_0 + i lambda/(pi w_0^2) along x and y at the reference point [1/mm]."""
+        return 1 / self.wavefront_radii + 1j * self.wavelength / (np.pi * self.radii**2)
 
     @property
     def divergence(self) -> float:
-        """Radius per distance far from the waist, lambda/(pi w_waist): half the angle [rad] of a beam's 1/e^2 cone."""
-        return 0.0 if np.isinf(self.radius) else self.radius * abs(self.inverse_parameter)
+        """Radius per distance far from a waist, lambda/(pi w_waist): half the angle [rad] of the wider 1/e^2 cone."""
+        return 0.0 if self.is_uniform else float(np.max(self.radii * np.abs(self.inverse_parameters)))
 
     @property
-    def cutoff(self) -> float:
-        """Distance from the axis up to which the beam is taken into account at the reference point [mm]."""
-        return TRUNCATION * self.radius
+    def cutoffs(self) -> np.ndarray:
+        """(2,) distances along x and y up to which the beam is taken into account at the reference point [mm]."""
+        return TRUNCATION * self.radii
 
     def aimed_at(self, reference: np.ndarray) -> Beam:
-        """The same beam with its radius and wavefront radius given at another point of its axis."""
+        """The same beam with its radii and wavefront radii given at another point of its axis."""
         return replace(self, reference=np.asarray(reference, dtype=np.float64))
 
     @property
@@ -74,18 +106,25 @@ class Beam:
         """Optical path from the laser, which is the phase reference, to ``reference`` [mm]."""
         return float((self.reference - self.origin) @ self.axis)
 
-    def radius_at(self, point: np.ndarray) -> float:
-        """1/e^2 intensity radius w [mm] in the plane across the beam through a point (3,)."""
+    def radii_at(self, point: np.ndarray) -> np.ndarray:
+        """(2,) 1/e^2 intensity radii along x and y [mm] in the plane across the beam through a point (3,)."""
         along = float((point - self.reference) @ self.axis)
-        return self.radius * abs(1 + along * self.inverse_parameter)
+        return self.radii * np.abs(1 + along * self.inverse_parameters)
 
-    def wavefront_radius_at(self, point: np.ndarray) -> float:
-        """Signed radius of curvature [mm] of the wavefront through a point (3,), inf where it is plane."""
+    def wavefront_at(self, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed radii of curvature (2,) [mm] of the wavefront through a point (3,), and unit vectors (2, 3) of them.
+
+        inf where it is plane; the vectors lie in the wavefront. Off the axis of an astigmatic beam they are right to
+        the square of the angle to the axis.
+        """
         along, across = self._parts(np.asarray(point, dtype=np.float64)[None])
-        curvature = self._parameter(along)[1][0]
-        if curvature == 0:
-            return np.inf
-        return float(np.copysign(np.hypot(1 / curvature, np.linalg.norm(across)), curvature))
+        _, curvature, _ = self._parameters(along)
+        with np.errstate(divide="ignore"):
+            radii = np.copysign(np.hypot(1 / curvature[:, 0], np.linalg.norm(across)), curvature[:, 0])
+        normal = self.directions_to_source(np.asarray(point, dtype=np.float64)[None])[0]
+        first = self.axes[:, 0] - (self.axes[:, 0] @ normal) * normal
+        first /= np.linalg.norm(first)
+        return radii, np.array([first, np.cross(first, normal)])
 
     def directions_to_source(self, points: np.ndarray) -> np.ndarray:
         """Unit vectors (n, 3) from points (n, 3) against the light's direction of propagation there.
@@ -93,14 +132,17 @@ class Beam:
         That is the phase's gradient: on either side of a focus they point to where the light comes from.
         """
         along, across = self._parts(points)
-        _, curvature, spread = self._parameter(along)
-        squared = np.sum(across * across, axis=1)
-        obliquity = np.sqrt(1 + curvature**2 * squared)
-        forward = (
-            obliquity * (1 - spread / self.wavenumber)
-            + (spread**2 - curvature**2) * squared / (1 + obliquity)
-        )
-        heading = curvature[:, None] * across + forward[:, None] * self.axis
+        _, curvature, spread = self._parameters(along)
+        bent = curvature * across
+        bow, squared = np.sum(bent * across, axis=0), np.sum(bent * bent, axis=0)
+        obliquity = np.sqrt(1 + squared)
+        sagitta = bow / (1 + obliquity)
+        rate = spread**2 - curvature**2  # of the curvatures, along the beam
+        aside = (2 * obliquity * bent - sagitta * curvature * bent) / (1 + obliquity)
+        forward = obliquity * (1 - np.sum(spread, axis=0) / (2 * self.wavenumber))
+        forward += obliquity * np.sum(rate * across**2, axis=0) / (1 + obliquity)
+        forward -= sagitta * np.sum(rate * bent * across, axis=0) / (1 + obliquity)
+        heading = np.stack([*aside, forward], axis=1) @ self.axes.T
         return -heading / np.linalg.norm(heading, axis=1, keepdims=True)
 
     def field(self, points: np.ndarray) -> np.ndarray:
@@ -116,85 +158,23 @@ class Beam:
         Up to a constant; finite where the field itself is too weak for a number.
         """
         along, across = self._parts(points)
-        modulus, curvature, _ = self._parameter(along)
-        squared = np.sum(across * across, axis=1)
-        path = along + curvature * squared / (1 + np.sqrt(1 + curvature**2 * squared))
-        if np.isinf(self.radius):
+        modulus, curvature, _ = self._parameters(along)
+        bent = curvature * across
+        path = along + np.sum(bent * across, axis=0) / (1 + np.sqrt(1 + np.sum(bent * bent, axis=0)))
+        if self.is_uniform:
             return 1j * self.wavenumber * path
-        decay = squared / (self.radius**2 * modulus) + np.log(1 + along * self.inverse_parameter)
+        decay = np.sum(across**2 / (self.radii[:, None] ** 2 * modulus), axis=0)
+        decay = decay + 0.5 * np.sum(np.log(1 + along * self.inverse_parameters[:, None]), axis=0)
         return 1j * self.wavenumber * path - decay
 
     def _parts(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Distance along the axis from the reference (n,) and the vectors across it (n, 3) [mm]."""
-        offset = points - self.reference
-        along = offset @ self.axis
-        return along, offset - along[:, None] * self.axis
+        """Distance along the axis from the reference (n,) and the coordinates across it (2, n) [mm]."""
+        local = (points - self.reference) @ self.axes
+        return local[:, 2], local[:, :2].T
 
-    def _parameter(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """|q/q_0|^2, 1/R and lambda/(pi w^2) [1/mm] at distances (n,) along the axis."""
-        start = self.inverse_parameter
+    def _parameters(self, along: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """|q/q_0|^2, 1/R and lambda/(pi w^2) [1/mm], (2, n) each, at distances (n,) along the axis."""
+        start = self.inverse_parameters[:, None]
         step = 1 + along * start
-        modulus = np.maximum(step.real**2 + step.imag**2, _FOCUS)
+        modulus = np.maximum(step.real**2 + step.imag**2, FOCUS)
         return modulus, (start.real * step.real + start.imag * step.imag) / modulus, start.imag / modulus
-
-
-class BeamKernel:
-    """A beam as Dr.Jit expressions; its parameters do not enter the compiled code."""
-
-    def __init__(self, beam: Beam) -> None:
-        self.uniform = np.isinf(beam.radius)
-        self.axis = opaque_vector(beam.axis)
-        self.reference = opaque_vector(beam.reference)
-        self.curvature = opaque(beam.inverse_parameter.real)
-        self.spread = opaque(beam.inverse_parameter.imag)
-        self.inverse_square = opaque(0.0 if self.uniform else beam.radius**-2)
-        self.inverse_wavenumber = opaque(1 / beam.wavenumber)
-        self.inverse_wavelength = opaque(1 / beam.wavelength)
-        self.common_waves = opaque(beam.reference_path / beam.wavelength % 1.0)
-
-    def within(self, points):
-        """Whether points lie within ``TRUNCATION`` of the beam's local radii of its axis."""
-        along, across = self._parts(points)
-        return dr.squared_norm(across) * self.inverse_square <= TRUNCATION**2 * self._step(along)[2]
-
-    def evaluate(self, points):
-        """(to_source, real, imaginary): vectors towards the light, not of unit length, and the complex amplitude.
-
-        The path from the laser, less that to the reference point, is s + c r^2/(1 + sqrt(1 + c^2 r^2)), c = 1/R, which
-        has no cancellation and goes smoothly through the waist, where c = 0. q/q_0 = 1 + s/q_0.
-        """
-        along, across = self._parts(points)
-        real, imaginary, modulus = self._step(along)
-        inverse = 1 / dr.maximum(modulus, _FOCUS)
-        curvature = (self.curvature * real + self.spread * imaginary) * inverse
-        spread = self.spread * inverse
-        squared = dr.squared_norm(across)
-        obliquity = dr.sqrt(1 + curvature * curvature * squared)
-        sagitta = squared / (1 + obliquity)
-        path = along + curvature * sagitta
-        forward = obliquity * (1 - spread * self.inverse_wavenumber)
-        forward += (spread * spread - curvature * curvature) * sagitta
-        to_source = -curvature * across - forward * self.axis
-        waves = path * self.inverse_wavelength + self.common_waves
-        sine, cosine = dr.sincos(2 * np.pi * (waves - dr.round(waves)))
-        if self.uniform:
-            gouy = dr.select(real < 0, -1.0, 1.0)
-            return to_source, gouy * cosine, gouy * sine
-        amplitude = dr.exp(-squared * self.inverse_square * inverse) * inverse
-        # q_0/q = (real - i imaginary)/modulus turns the phase by Gouy's.
-        return (
-            to_source,
-            amplitude * (real * cosine + imaginary * sine),
-            amplitude * (real * sine - imaginary * cosine),
-        )
-
-    def _parts(self, points):
-        """Distance along the axis from the reference point, and the vector across it [mm]."""
-        offset = points - self.reference
-        along = dr.dot(offset, self.axis)
-        return along, offset - along * self.axis
-
-    def _step(self, along):
-        """Real and imaginary part of q/q_0 = 1 + s/q_0, and its squared modulus, which is (w/w_0)^2."""
-        real, imaginary = 1 + along * self.curvature, along * self.spread
-        return real, imaginary, real * real + imaginary * imaginary

@@ -17,7 +17,8 @@ from ..errors import InputError
 from ..geometry.frames import Frame
 from ..machine.backend import arrays, opaque, opaque_vector
 from . import hashing
-from .beam import Beam, BeamKernel
+from .beam import Beam
+from .beam_kernel import BeamKernel
 from .facets import Facets
 from .footprint import footprint_bounds
 
@@ -125,7 +126,7 @@ def _cells_under_beam(surface: RoughSurface, beam: Beam, frame: Frame) -> _Cells
     facets = surface.facets
     pitch = surface.density**-0.5
     lower, upper = facets.bounds[:, 0::2].copy(), facets.bounds[:, 1::2].copy()
-    if np.isfinite(beam.radius):
+    if not beam.is_uniform:
         centre, half = footprint_bounds(facets, beam, frame)
         lower, upper = np.fmax(lower, centre - half), np.fmin(upper, centre + half)
     meets = np.all(upper > lower, axis=1)
@@ -264,7 +265,7 @@ class PlacedScatterers:
         kernel = BeamKernel(beam)
         to_source, real, imaginary = kernel.evaluate(position)
         lit = material.inside & (dr.dot(to_source, normal) > 0)
-        if np.isfinite(beam.radius):
+        if not beam.is_uniform:
             lit &= kernel.within(mean)
         # Everything is computed for all cells at once in one kernel; then those under the beam are picked.
         amplitude = lanes.Array2f64(real, imaginary)

@@ -201,7 +201,7 @@ def _aim(beam: Beam, shape: mi.Shape) -> tuple[Beam, Target]:
     frame, facets = shape.placement.frame, shape.facets
     spot, normal = _where_axis_meets(facets, frame, beam, shape.where, required=shape.points is None)
     beam = beam.aimed_at(beam.origin + ((spot - beam.origin) @ beam.axis) * beam.axis)
-    if np.isinf(beam.radius):
+    if beam.is_uniform:
         density = shape.point_sources / float(np.sum(facets.area))
     else:
         density = shape.point_sources * abs(float(normal @ beam.axis)) / (np.pi * beam.radius**2)

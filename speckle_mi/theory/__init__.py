@@ -5,8 +5,10 @@ from .decorrelation import (
     beam_displacement_of_material,
     decorrelation_axial,
     decorrelation_circular_pupil,
+    decorrelation_elliptical_beam,
     decorrelation_in_plane,
 )
+from .directions import astigmatic_wave
 from .displacement import (
     centre_of_gravity_aperture,
     first_order_displacement,
@@ -28,6 +30,7 @@ from .speckle import (
 
 __all__ = [
     "CardinalPoints",
+    "astigmatic_wave",
     "beam_displacement_of_material",
     "bundle_displacement",
     "cardinal_points",
@@ -36,6 +39,7 @@ __all__ = [
     "contrast_of_equal_phasors",
     "decorrelation_axial",
     "decorrelation_circular_pupil",
+    "decorrelation_elliptical_beam",
     "decorrelation_in_plane",
     "entrance_pupil",
     "exit_pupil",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.pose import Pose
-from .directions import across_direction, frame_axes, require_positive, unit, wave_curvature
+from .directions import across_direction, beam_axes, frame_axes, require_positive, unit, wave_curvature
 
 
 # Decorrelation: height of the peak of the intensity correlation, after the shift.
@@ -29,6 +29,16 @@ def decorrelation_in_plane(shift_perpendicular: np.ndarray | float, beam_radius:
     """Correlation exp(-a^2/w^2) after the material moved by a [mm] across a Gaussian beam of 1/e^2 radius w [mm]."""
     shift = np.asarray(shift_perpendicular, dtype=np.float64)
     return np.exp(-((shift / require_positive("beam_radius", beam_radius)) ** 2))
+
+
+def decorrelation_elliptical_beam(shift: np.ndarray, beam_radii: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Correlation (n,) exp(-a_x^2/w_x^2 - a_y^2/w_y^2) after the material moved by ``shift`` (n, 3) [mm].
+
+    beam_radii: (2,) 1/e^2 intensity radii [mm] along ``axes`` (2, 3), orthonormal directions across the beam. Its
+    amplitude is exp(-p.W p), and the overlap of two such intensities a apart exp(-a.W a), W = diag(1/w^2).
+    """
+    radii = np.array([require_positive("beam_radii", radius) for radius in beam_radii])
+    return np.exp(-np.sum((np.asarray(shift, dtype=np.float64) @ beam_axes(axes).T / radii) ** 2, axis=-1))
 
 
 def decorrelation_axial(

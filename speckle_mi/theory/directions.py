@@ -26,6 +26,40 @@ def wave_curvature(wavefront_radius: float) -> float:
     return 1 / radius
 
 
+def wave_hessian(wavefront_radius: float | np.ndarray, to_laser: np.ndarray) -> np.ndarray:
+    """(3, 3) second derivatives [1/mm] of the path of light that comes from along a unit vector: Q_S = (1 - l l^T)/L_S.
+
+    wavefront_radius: L_S [mm], or the matrix itself (`astigmatic_wave`), of which the part across the light counts.
+    """
+    across = across_direction(to_laser)
+    if np.ndim(wavefront_radius) == 0:
+        return wave_curvature(wavefront_radius) * across
+    matrix = np.asarray(wavefront_radius, dtype=np.float64)
+    if matrix.shape != (3, 3) or not np.all(np.isfinite(matrix)) or not np.allclose(matrix, matrix.T):
+        raise ValueError(
+            f"wavefront_radius {text(matrix)}: must be a radius [mm] or a symmetric (3, 3) matrix of finite curvatures"
+        )
+    return across @ matrix @ across
+
+
+def astigmatic_wave(wavefront_radii: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """(3, 3) second derivatives a_1 a_1^T/R_1 + a_2 a_2^T/R_2 [1/mm] of the path of an astigmatic wave.
+
+    wavefront_radii: (2,) signed radii of curvature [mm]; axes: (2, 3) orthonormal principal directions a in the wave.
+    Stands for ``wavefront_radius`` wherever a displacement is asked for.
+    """
+    axes = beam_axes(axes)
+    return sum(wave_curvature(radius) * np.outer(a, a) for radius, a in zip(wavefront_radii, axes, strict=True))
+
+
+def beam_axes(axes: np.ndarray) -> np.ndarray:
+    """(2, 3) orthonormal rows, the principal directions of a beam, checked."""
+    axes = np.asarray(axes, dtype=np.float64)
+    if axes.shape != (2, 3) or not np.allclose(axes @ axes.T, np.eye(2), atol=UNIT_TOLERANCE):
+        raise ValueError(f"axes {text(axes)}: must be (2, 3), two orthonormal directions across the beam")
+    return axes
+
+
 def require_positive(name: str, value: float) -> float:
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name} = {value}: must be positive")

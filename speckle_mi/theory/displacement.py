@@ -19,13 +19,12 @@ from ..errors import InputError
 from ..geometry.rotation import cross_matrix, vectors_across
 from .directions import (
     GRAZING_COSINE,
-    across_direction,
     detector_axes,
     frame_axes,
     require_lit,
     text,
     unit,
-    wave_curvature,
+    wave_hessian,
 )
 
 
@@ -34,7 +33,7 @@ def first_order_displacement(
     origin: np.ndarray,
     axes: np.ndarray,
     source_direction: np.ndarray,
-    wavefront_radius: float,
+    wavefront_radius: float | np.ndarray,
     detector_centre: np.ndarray,
     u: np.ndarray,
     v: np.ndarray,
@@ -56,7 +55,8 @@ def first_order_displacement(
 
     spot: (3,) where the beam axis meets the surface [mm]. origin: (3,) rotation centre, the target's origin [mm].
     axes: (3, 3) columns are the target's x, y, z axes. source_direction: (3,) unit vector l_S from the spot towards
-    the laser. wavefront_radius: L_S [mm], + diverging, - converging, inf collimated. detector_centre: (3,) [mm].
+    the laser. wavefront_radius: L_S [mm], + diverging, - converging, inf collimated; of an astigmatic wave its Hessian
+    Q_S, (3, 3) [1/mm], from `astigmatic_wave`. detector_centre: (3,) [mm].
     u, v: (3,) directions of increasing column and row. normal: (3,) surface normal at the spot; None is the target's z.
 
     Returns (2, 6): rows u, v; columns x, y, z [mm/mm], rx, ry, rz [mm/rad].
@@ -92,7 +92,7 @@ def system_displacement(
     origin: np.ndarray,
     axes: np.ndarray,
     source_direction: np.ndarray,
-    wavefront_radius: float,
+    wavefront_radius: float | np.ndarray,
     line_of_sight: np.ndarray,
     across: np.ndarray,
     magnification: np.ndarray,
@@ -136,7 +136,7 @@ def system_displacement(
     tangents = vectors_across(normal)
     material = _motion_of_point(spot, origin, axes)
     turned = np.hstack([np.zeros((3, 3)), -cross_matrix(to_laser + sight) @ axes])
-    change = wave_curvature(wavefront_radius) * across_direction(to_laser) @ material + turned
+    change = wave_hessian(wavefront_radius, to_laser) @ material + turned
     tilt = np.linalg.solve(tangents @ across.T, tangents @ change)
     return magnification @ across @ material + lever @ tilt
 
@@ -169,7 +169,7 @@ def imaging_displacement(
     origin: np.ndarray,
     axes: np.ndarray,
     source_direction: np.ndarray,
-    wavefront_radius: float,
+    wavefront_radius: float | np.ndarray,
     line_of_sight: np.ndarray,
     object_u: np.ndarray,
     object_v: np.ndarray,

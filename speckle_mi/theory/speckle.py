@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.rotation import vectors_across
-from .directions import across_direction, detector_axes, require_lit, require_positive, unit
+from .directions import across_direction, beam_axes, detector_axes, require_lit, require_positive, unit
 
 
 # Statistics of the pattern.
@@ -39,7 +39,7 @@ def coherence_gaussian_beam(
 
 
 def speckle_shape_gaussian_beam(
-    beam_radius: float,
+    beam_radius: float | np.ndarray,
     wavelength: float,
     spot: np.ndarray,
     normal: np.ndarray,
@@ -47,12 +47,15 @@ def speckle_shape_gaussian_beam(
     detector_centre: np.ndarray,
     u: np.ndarray,
     v: np.ndarray,
+    axes: np.ndarray | None = None,
 ) -> np.ndarray:
     """(2, 2) matrix K [1/mm^2] of a speckle: |mu|^2 = exp(-d^T K d) for detector points d = (du, dv) [mm] apart.
 
     Any tilt of beam, target and detector. The path from a surface point p [mm, from the spot] to the two points
     differs by p . g, g = t Q_O T d; the footprint on the surface is Gaussian with exp(-2 p^T F^-1 p),
-    F = w^2 (t (1 - l_S l_S^T) t^T)^-1; then |mu|^2 = exp[-(pi/lambda)^2 g^T F g] [3].
+    F = w^2 (t (1 - l_S l_S^T) t^T)^-1; then |mu|^2 = exp[-(pi/lambda)^2 g^T F g] [3]. Of an elliptical beam beam_radius
+    is (2,) along its ``axes`` (2, 3), orthonormal directions a across it, and F the inverse of
+    t (a_x a_x^T/w_x^2 + a_y a_y^T/w_y^2) t^T. The curvature of the light's wavefront has no part in it.
     Raises ValueError for grazing light or a detector at the spot.
     """
     sight = np.asarray(detector_centre, dtype=np.float64) - np.asarray(spot, dtype=np.float64)
@@ -60,15 +63,18 @@ def speckle_shape_gaussian_beam(
     to_laser, normal = unit("source_direction", source_direction), unit("normal", normal)
     require_lit(to_laser, normal)
     tangents = vectors_across(normal)
-    footprint = require_positive("beam_radius", beam_radius) ** 2 * np.linalg.inv(
-        tangents @ across_direction(to_laser) @ tangents.T
-    )
+    if axes is None:
+        inverse_square = across_direction(to_laser) / require_positive("beam_radius", beam_radius) ** 2
+    else:
+        scaled = beam_axes(axes) / np.array([[require_positive("beam_radius", radius)] for radius in beam_radius])
+        inverse_square = scaled.T @ scaled
+    footprint = np.linalg.inv(tangents @ inverse_square @ tangents.T)
     gradient = tangents @ across_direction(sight / distance) @ detector_axes(u, v) / distance
     return (np.pi / require_positive("wavelength", wavelength)) ** 2 * gradient.T @ footprint @ gradient
 
 
 def speckle_size_gaussian_beam(
-    beam_radius: float,
+    beam_radius: float | np.ndarray,
     wavelength: float,
     spot: np.ndarray,
     normal: np.ndarray,
@@ -76,13 +82,14 @@ def speckle_size_gaussian_beam(
     detector_centre: np.ndarray,
     u: np.ndarray,
     v: np.ndarray,
+    axes: np.ndarray | None = None,
 ) -> np.ndarray:
     """(2,) full width at half maximum of |mu|^2 in cuts along u and along v [mm]; see `speckle_shape_gaussian_beam`.
 
     Everything along the normal: 2 sqrt(ln 2) lambda z/(pi w). inf along a direction in which the light grazes.
     """
     shape = speckle_shape_gaussian_beam(
-        beam_radius, wavelength, spot, normal, source_direction, detector_centre, u, v
+        beam_radius, wavelength, spot, normal, source_direction, detector_centre, u, v, axes
     )
     with np.errstate(divide="ignore"):
         return 2 * np.sqrt(np.log(2) / np.diag(shape))

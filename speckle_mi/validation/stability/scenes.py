@@ -147,18 +147,22 @@ def exact_laser(beam, points: np.ndarray) -> np.ndarray:
     axis = beam.axis.astype(wide)
     axis /= np.sqrt(axis @ axis)
     along = from_reference @ axis
-    squared = np.sum(np.square(from_reference - along[:, None] * axis), axis=1)
-    spread = 0 if np.isinf(beam.radius) else wide(beam.wavelength) / (wide(np.pi) * wide(beam.radius) ** 2)
-    step = 1 + along * (1 / wide(beam.wavefront_radius) + 1j * spread)  # q / q_0
-    inverse = (1 / wide(beam.wavefront_radius) + 1j * spread) / step
-    curvature = inverse.real
+    bow, squared, modes = 0, 0, 1 + 0j
+    for direction, radius, bend in zip(beam.across, beam.radii, beam.wavefront_radii, strict=True):
+        across = (from_reference - along[:, None] * axis) @ direction.astype(wide)
+        spread = 0 if beam.is_uniform else wide(beam.wavelength) / (wide(np.pi) * wide(radius) ** 2)
+        step = 1 + along * (1 / wide(bend) + 1j * spread)  # q / q_0
+        inverse = (1 / wide(bend) + 1j * spread) / step
+        bow, squared = bow + inverse.real * across**2, squared + (inverse.real * across) ** 2
+        if beam.is_uniform:  # a focus that lies behind turns the phase, one that lies before turns it back
+            modes = modes * np.where(step.real < 0, np.where(along > 0, -1j, 1j), 1)
+        else:
+            decay = np.exp(-(across**2) * (wide(np.pi) / wide(beam.wavelength)) * inverse.imag)
+            modes = modes * (decay / np.sqrt(step)).astype(complex)
     # Less the path along the axis: R - sqrt(R^2 + r^2) without its cancellation.
-    path = along + curvature * squared / (1 + np.sqrt(1 + curvature**2 * squared))
+    path = along + bow / (1 + np.sqrt(1 + squared))
     turns = (path + wide(beam.reference_path)) / wide(beam.wavelength)
-    phase = np.exp(2j * np.pi * (turns - np.round(turns)).astype(np.float64))
-    if np.isinf(beam.radius):
-        return np.where(step.real < 0, -1, 1) * phase
-    return (np.exp(-squared * (wide(np.pi) / wide(beam.wavelength)) * inverse.imag) / step).astype(complex) * phase
+    return modes * np.exp(2j * np.pi * (turns - np.round(turns)).astype(np.float64))
 
 
 def against_exact_sum(bench: Bench, pose: Pose | None = None) -> tuple[np.ndarray, np.ndarray]:
