@@ -16,7 +16,7 @@ from scipy import fft, ndimage
 TILE = 32
 """Side of the tiles whose spectra are averaged [px]."""
 
-MOST_TILES = 1024
+MOST_TILES = 256
 """Tiles beyond this many make the spectrum no smoother than is needed."""
 
 FOLDED = 50.0
@@ -37,8 +37,12 @@ def power_spectrum(pattern: np.ndarray) -> np.ndarray:
     steps = [max(side // 2, 1) for side in sides]
     tiles = sliding_window_view(pattern, sides)[:: steps[0], :: steps[1]].reshape(-1, *sides)
     tiles = tiles[:: max(1, len(tiles) // MOST_TILES)]
-    spectra = fft.rfft2((tiles - tiles.mean(axis=(1, 2), keepdims=True)) * taper)
-    half = (spectra.real**2 + spectra.imag**2).mean(axis=0)
+    # In single precision, whose rounding is far below what the taper leaks.
+    tiles = tiles.astype(np.float32)
+    tiles -= tiles.mean(axis=(1, 2), keepdims=True)
+    tiles *= taper.astype(np.float32)
+    spectra = fft.rfft2(tiles).view(np.float32).reshape(len(tiles), sides[0], -1, 2)
+    half = np.einsum("tvuc,tvuc->vu", spectra, spectra).astype(np.float64) / len(tiles)
     opposite = np.roll(half[::-1], 1, axis=0)  # of v as of -v
     power = np.concatenate([half, opposite[:, (sides[1] - 1) // 2 : 0 : -1]], axis=1)
     return ndimage.uniform_filter(power, [3 if n > 3 else 1 for n in sides], mode="wrap")
@@ -73,5 +77,15 @@ def band_weight(pattern: np.ndarray) -> np.ndarray:
 
 def weight_at(weight: np.ndarray, frequencies: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     """The weight of `band_weight` at frequencies (v, u) [cycles/px], interpolated."""
-    v, u = (n * f for n, f in zip(weight.shape, frequencies))
-    return ndimage.map_coordinates(weight, np.broadcast_arrays(v[:, None], u[None, :]), order=1, mode="grid-wrap")
+    across, along = (_between(n, n * f) for n, f in zip(weight.shape, frequencies))
+    return across @ weight @ along.T
+
+
+def _between(count: int, places: np.ndarray) -> np.ndarray:
+    """(places, count): what linear interpolation takes of each of so many values that repeat."""
+    below = np.floor(places).astype(int)
+    share, row = places - below, np.arange(len(places))
+    taken = np.zeros((len(places), count))
+    taken[row, below % count] = 1.0 - share
+    taken[row, (below + 1) % count] += share
+    return taken

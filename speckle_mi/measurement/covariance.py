@@ -82,16 +82,32 @@ def autocovariance(intensity: np.ndarray) -> np.ndarray:
     pattern = deviation(image)
     if pattern is None:
         return np.full((2 * rows - 1, 2 * columns - 1), np.nan)
-    padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in image.shape)
+    return autocovariance_of(pattern, (rows - 1, columns - 1))
+
+
+def autocovariance_of(pattern: np.ndarray, lags: tuple[int, int]) -> np.ndarray:
+    """`autocovariance` of a pattern (rows, columns) of mean 0 up to so many lags (v, u), in the pattern's precision.
+
+    Returns (2 v + 1, 2 u + 1), zero lag in the middle.
+    """
+    (rows, columns), (v, u) = pattern.shape, lags
+    padded = tuple(fft.next_fast_len(n + lag, real=True) for n, lag in zip(pattern.shape, lags))
     cores = cores_for_transform(*padded)
     spectrum = fft.rfft2(pattern, padded, workers=cores)
-    power = spectrum.real**2 + spectrum.imag**2
-    sums = fft.irfft2(power, padded, workers=cores)
+    # In place of the spectrum: what is as large as this costs more to get than to fill.
+    power = spectrum.real
+    power *= power
+    power += np.square(spectrum.imag)
+    spectrum.imag = 0.0
+    sums = fft.irfft2(spectrum, padded, workers=cores, overwrite_x=True)
     # Of a lag and of the one opposite the sums are the same: those of no negative lag along v say all.
-    sums = np.concatenate([sums[:rows, padded[1] - columns + 1 :], sums[:rows, :columns]], axis=1)
-    overlap_v = rows - np.arange(rows)
-    overlap_u = columns - np.abs(np.arange(1 - columns, columns))
-    half = sums / (sums[0, columns - 1] / (rows * columns) * overlap_v[:, None] * overlap_u)
+    half = np.empty((v + 1, 2 * u + 1), sums.dtype)
+    half[:, u:] = sums[: v + 1, : u + 1]
+    half[:, :u] = sums[: v + 1, padded[1] - u :]
+    overlap_v = (rows - np.arange(v + 1)).astype(sums.dtype)
+    overlap_u = (columns - np.abs(np.arange(-u, u + 1))).astype(sums.dtype)
+    half /= half[0, u] / (rows * columns) * overlap_v[:, None]
+    half /= overlap_u
     return np.concatenate([half[:0:-1, ::-1], half])
 
 

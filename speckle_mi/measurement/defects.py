@@ -7,6 +7,7 @@ than any texture of the image does; what two images share at one place is the ca
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,9 @@ TEXTURE_SHARE = 0.98
 
 BRIGHT, DARK = 4.0, 0.1
 """Least brightness of a hot pixel and largest of a dead one, relative to the mean."""
+
+FARTHEST = 2
+"""Distance of the farthest neighbours that a pixel is compared with [px]."""
 
 SAMPLES = 4_000
 """Pixels by which the texture is judged."""
@@ -93,35 +97,53 @@ def _border(reach: int) -> list[tuple[int, int]]:
     return [(v, u) for v in span for u in span if max(abs(v), abs(u)) == reach]
 
 
-def _neighbour(image: np.ndarray, v: np.ndarray, u: np.ndarray, offset: tuple[int, int]) -> np.ndarray:
-    """Pixels at an offset from (v, u), mirrored at the image's edges."""
-    places = []
-    for place, step, n in zip((v, u), offset, image.shape):
-        place = np.abs(place + step)
-        places.append(np.minimum(place, 2 * n - 2 - place) if n > abs(step) else np.zeros_like(place))
-    return image[tuple(places)]
+class _Pixels:
+    """The pixels of an image with those around them, mirrored at its edges. Places are one number each."""
+
+    def __init__(self, image: np.ndarray) -> None:
+        margin = [FARTHEST if n > 1 else 0 for n in image.shape]
+        for axis, m in enumerate(margin):  # as `numpy.pad`, which takes longer
+            n = image.shape[axis]
+            outside = np.arange(1, m + 1)
+            beyond = [np.take(image, i, axis) for i in (outside[::-1] % n, np.abs(n - 1 - outside))] if m else []
+            image = np.concatenate([beyond[0], image, beyond[1]], axis) if m else image
+        self.shape, self._width, self._values = image.shape, image.shape[1], image.ravel()
+        self._inside = tuple(slice(m, n - m) for m, n in zip(margin, image.shape))
+        # Across a single row or column nothing is beside a pixel.
+        self.borders = {
+            reach: [
+                (v * self._width + u) for v, u in _border(reach) if all(m or not o for m, o in zip(margin, (v, u)))
+            ]
+            for reach in (1, 2)
+        }
+
+    def where(self, condition: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Places of the image at whose values a condition holds."""
+        inside = np.zeros(self.shape, dtype=bool)
+        inside[self._inside] = condition(self._values.reshape(self.shape)[self._inside])
+        return np.flatnonzero(inside)
+
+    def at(self, places: np.ndarray, step: int = 0) -> np.ndarray:
+        return self._values.take(places + step)
+
+    def every(self, stride: int) -> np.ndarray:
+        """Places of the image's pixels number 0, stride, ... in the order of its rows."""
+        rows, columns = (s.stop - s.start for s in self._inside)
+        v, u = np.divmod(np.arange(0, rows * columns, stride), columns)
+        return (v + self._inside[0].start) * self._width + u + self._inside[1].start
+
+    def coordinates(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(v, u) in the image."""
+        v, u = np.divmod(places, self._width)
+        return v - self._inside[0].start, u - self._inside[1].start
 
 
-def _offsets(image: np.ndarray, reach: int) -> list[tuple[int, int]]:
-    return [o for o in _border(reach) if all(n > 1 or step == 0 for n, step in zip(image.shape, o))]
-
-
-def _excess(image: np.ndarray, level: float, place: tuple[np.ndarray, np.ndarray], offset: tuple[int, int]):
-    """How far pixels are above a neighbour, relative to it and the mean."""
-    around = _neighbour(image, *place, offset)
-    return (image[place] - around) / (np.abs(around) + level)
-
-
-def _where(condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places (v, u) at which an image is true: as `numpy.nonzero`, which takes longer."""
-    return np.divmod(np.flatnonzero(condition), condition.shape[1])
-
-
-def _usual(image: np.ndarray, level: float) -> Usual:
-    place = np.divmod(np.arange(0, image.size, max(1, image.size // SAMPLES) | 1), image.shape[1])
-    excess = [np.min([_excess(image, level, place, o) for o in _offsets(image, reach)], axis=0) for reach in (1, 2)]
-    darkest = np.min([_neighbour(image, *place, o) for o in _offsets(image, 1)], axis=0)
-    deficit = (darkest - image[place]) / level
+def _usual(pixels: _Pixels, count: int, level: float) -> Usual:
+    places = pixels.every(max(1, count // SAMPLES) | 1)
+    own = pixels.at(places)
+    around = {reach: np.array([pixels.at(places, step) for step in steps]) for reach, steps in pixels.borders.items()}
+    excess = [np.min((own - a) / (np.abs(a) + level), axis=0) for a in around.values()]
+    deficit = (np.min(around[1], axis=0) - own) / level
     return Usual(
         tuple(float(np.quantile(e, TEXTURE_SHARE)) for e in excess), float(np.quantile(deficit, TEXTURE_SHARE))
     )
@@ -132,15 +154,23 @@ def _least(reach: int, usual: float) -> float:
     return of_coarse + by_texture * max(usual, 0.0)
 
 
-def _outliers(
-    image: np.ndarray, level: float, place: tuple[np.ndarray, np.ndarray], reach: int, usual: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Those of the places (v, u) above all on a border around them by more than texture explains."""
-    least = _least(reach, usual)
-    for offset in _offsets(image, reach):  # few are left after the first
-        kept = _excess(image, level, place, offset) > least
-        place = place[0][kept], place[1][kept]
-    return place
+def _outliers(pixels: _Pixels, level: float, places: np.ndarray, reach: int, usual: float) -> np.ndarray:
+    """Those of the places above all on a border around them by more than texture explains."""
+    least, own = _least(reach, usual), pixels.at(places)
+    for step in pixels.borders[reach]:  # few are left after the first
+        around = pixels.at(places, step)
+        kept = np.flatnonzero(own - around > least * (np.abs(around) + level))
+        places, own = places[kept], own[kept]
+    return places
+
+
+def _quantile(values: np.ndarray, share: float) -> float:
+    """As `numpy.quantile`, which takes many times longer for few values."""
+    place = share * (values.size - 1)
+    below = int(place)
+    above = min(below + 1, values.size - 1)
+    parted = np.partition(values, (below, above))
+    return float(parted[below] + (place - below) * (parted[above] - parted[below]))
 
 
 def _bad_lines(image: np.ndarray, axis: int) -> tuple[int, ...]:
@@ -149,11 +179,12 @@ def _bad_lines(image: np.ndarray, axis: int) -> tuple[int, ...]:
         return ()
     profile = image.mean(axis=axis)
     excess = profile - ndimage.median_filter(profile, 5, mode="reflect")
-    scale = 1.4826 * float(np.median(np.abs(excess)))
+    scale = 1.4826 * _quantile(np.abs(excess), 0.5)
     # Of speckle many columns are their own median; their other columns then give the scale.
-    scale = max(scale, float(np.sqrt(np.mean(np.square(np.clip(excess, *np.quantile(excess, [0.02, 0.98])))))))
+    clipped = np.minimum(np.maximum(excess, _quantile(excess, 0.02)), _quantile(excess, 0.98))
+    scale = max(scale, math.sqrt(float(clipped @ clipped) / clipped.size))
     # Of coarse speckle the profile is smooth, but not even.
-    spread = 1.4826 * float(np.median(np.abs(profile - np.median(profile))))
+    spread = 1.4826 * _quantile(np.abs(profile - _quantile(profile, 0.5)), 0.5)
     found = (
         np.flatnonzero(np.abs(excess) > max(LINE * scale, LINE_SPREAD * spread)) if scale > 0.0 else np.zeros(0, int)
     )
@@ -165,34 +196,39 @@ def defects_of(image: np.ndarray, usual: Usual | None = None) -> Defects:
 
     usual: of another image of the same texture, so that it need not be found again.
     """
-    pixels = np.zeros(image.shape, dtype=bool)
+    mask = np.zeros(image.shape, dtype=bool)
     level = float(np.abs(image).mean())
     if level <= 0.0 or max(image.shape) < 8:
-        return Defects(pixels)
-    usual = usual or _usual(image, level)
-    bright = _where(image > BRIGHT * level)
-    found = [_outliers(image, level, bright, reach, excess) for reach, excess in zip((1, 2), usual.excess)]
-    for place in (*found, _dead(image, level, usual.deficit)):
-        pixels[place] = True
-    if np.count_nonzero(pixels) > MOST * pixels.size:
-        pixels[:] = False
-    clean = repaired(image, pixels) if pixels.any() else image
-    return Defects(pixels, _bad_lines(clean, 0), _bad_lines(clean, 1), usual)
+        return Defects(mask)
+    pixels = _Pixels(image)
+    usual = usual or _usual(pixels, image.size, level)
+    bright = pixels.where(lambda values: values > BRIGHT * level)
+    found = [_outliers(pixels, level, bright, reach, excess) for reach, excess in zip((1, 2), usual.excess)]
+    for places in (*found, _dead(image, pixels, level, usual.deficit)):
+        mask[pixels.coordinates(places)] = True
+    if np.count_nonzero(mask) > MOST * mask.size:
+        mask[:] = False
+    clean = repaired(image, mask) if mask.any() else image
+    return Defects(mask, _bad_lines(clean, 0), _bad_lines(clean, 1), usual)
 
 
-def _dead(image: np.ndarray, level: float, usual: float) -> tuple[np.ndarray, np.ndarray]:
-    """Places (v, u) of pixels below all of their neighbours by more than the texture explains."""
-    offsets = _offsets(image, 1)
-    least = _least(1, usual) * level
-    v, u = _where(image < DARK * level)
-    for offset in offsets:
-        kept = _neighbour(image, v, u, offset) - image[v, u] > least
-        v, u = v[kept], u[kept]
+def _dead(image: np.ndarray, pixels: _Pixels, level: float, usual: float) -> np.ndarray:
+    """Places of pixels below all of their neighbours by more than the texture explains."""
+    least = _least(1, usual)
+    places = pixels.where(lambda values: values < DARK * level)
+    own = pixels.at(places)
+    for step in pixels.borders[1]:
+        kept = np.flatnonzero(pixels.at(places, step) - own > least * level)
+        places, own = places[kept], own[kept]
+    if not places.size:
+        return places
     # Where the light is uneven the level is that of the neighbourhood.
-    local = [image[max(0, i - LOCAL) : i + LOCAL + 1, max(0, j - LOCAL) : j + LOCAL + 1].mean() for i, j in zip(v, u)]
-    around = np.min([_neighbour(image, v, u, o) for o in offsets], axis=0) if v.size else np.zeros(0)
-    kept = around - image[v, u] > _least(1, usual) * np.array(local)
-    return v[kept], u[kept]
+    local = [
+        image[max(0, i - LOCAL) : i + LOCAL + 1, max(0, j - LOCAL) : j + LOCAL + 1].mean()
+        for i, j in zip(*pixels.coordinates(places))
+    ]
+    around = np.min([pixels.at(places, step) for step in pixels.borders[1]], axis=0)
+    return places[around - own > least * np.array(local)]
 
 
 def repaired(image: np.ndarray, mask: np.ndarray) -> np.ndarray:

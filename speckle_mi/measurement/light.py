@@ -94,14 +94,14 @@ def is_uneven(image: np.ndarray, size: float) -> bool:
     if rows * columns < 4:
         return False
     blocks = image[: rows * sides[0], : columns * sides[1]].reshape(rows, sides[0], columns, sides[1])
-    means = blocks.mean(axis=1).mean(axis=2)
-    apart = blocks - means[:, None, :, None]
-    within = float(np.einsum("ijkl,ijkl->", apart, apart)) / apart.size
-    if within <= 0.0:
+    means = blocks.sum(axis=1).sum(axis=2) / (sides[0] * sides[1])
+    squares = float(np.einsum("ijkl,ijkl->", blocks, blocks)) / blocks.size
+    within = squares - float(np.mean(np.square(means)))
+    if within <= np.finfo(float).eps * squares:
         return False
     speckles = math.prod(max(1.0, s / (1.06 * max(size, 1.0))) for s in sides if s > 1)
-    by_chance = stats.chi2.ppf(1.0 - CHANCE, means.size - 1) / (means.size - 1)
-    return float(means.var()) * speckles / within > max(UNEVEN, by_chance)
+    excess = float(means.var()) * speckles / within
+    return excess > UNEVEN and excess * (means.size - 1) > stats.chi2.ppf(1.0 - CHANCE, means.size - 1)
 
 
 def smoothing_of(image: np.ndarray) -> float | None:

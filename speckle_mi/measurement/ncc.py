@@ -21,12 +21,12 @@ CONSTANT = 1e-9
 def _box_sums(image: np.ndarray, box: tuple[int, int]) -> np.ndarray:
     """Sums of ``image`` (rows, columns) over every (height, width) box that lies inside it."""
     for axis, size in enumerate(box):
-        lead = np.moveaxis(image, axis, 0)
+        lead = image if axis == 0 else image.T
         sums = np.empty((lead.shape[0] - size + 1, lead.shape[1]))
         sums[0] = lead[:size].sum(axis=0)
         np.subtract(lead[size:], lead[:-size], out=sums[1:])
         np.cumsum(sums, axis=0, out=sums)
-        image = np.moveaxis(sums, 0, axis)
+        image = sums if axis == 0 else sums.T
     return image
 
 

@@ -8,7 +8,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from .covariance import LOBE_REACH, autocovariance, central_lobe, without_noise
+from .covariance import LOBE_REACH, autocovariance_of, central_lobe, deviation, without_noise
 
 FALSE_ALARM = 1e-3
 """Probability that two unrelated patterns are given a shift; each of the two stages gets half."""
@@ -18,6 +18,9 @@ RIVAL = 0.9
 
 PATCH = 2
 """Pixels on each side of the peak in the sub-pixel fit."""
+
+FARTHEST_LAG = 3
+"""Quarters of a piece up to which lags are looked at: beyond, few pixels overlap."""
 
 REPEATING = 0.8
 """Autocovariance away from the middle at which a pattern repeats itself."""
@@ -49,25 +52,33 @@ def _log_maximum(patch: np.ndarray) -> tuple[tuple[float, float], float] | None:
         return None
     to_powers = [_TO_POWERS[n] for n in patch.shape]
     coefficients = to_powers[0] @ np.log(patch) @ to_powers[1].T
-    place = np.zeros(2)
-    free = [axis for axis in (0, 1) if patch.shape[axis] > 1]
-    if not free:
+    place = [0.0, 0.0]
+    free_v, free_u = (n > 1 for n in patch.shape)
+    if not (free_v or free_u):
         return None
     for _ in range(20):
-        powers = [_power_derivatives(place[axis], patch.shape[axis]) for axis in (0, 1)]
-        value, gradient_v, curvature_v = powers[0] @ coefficients @ powers[1][0]
-        gradient_u, cross = powers[0][:2] @ coefficients @ powers[1][1]
-        curvature_u = powers[0][0] @ coefficients @ powers[1][2]
-        gradient = np.array([gradient_v, gradient_u])[free]
-        hessian = np.array([[curvature_v, cross], [cross, curvature_u]])[np.ix_(free, free)]
-        if np.linalg.eigvalsh(hessian).max() >= -1e-12:
+        in_v, in_u = (_power_derivatives(x, n) for x, n in zip(place, patch.shape))
+        (value, gradient_u, curvature_u), (gradient_v, cross, _), (curvature_v, _, _) = (
+            (in_v @ coefficients @ in_u.T).tolist()
+        )
+        # Along an axis of one pixel there is nothing to solve for: its equation is step = 0.
+        if not free_v:
+            curvature_v, gradient_v, cross = -1.0, 0.0, 0.0
+        if not free_u:
+            curvature_u, gradient_u, cross = -1.0, 0.0, 0.0
+        determinant = curvature_v * curvature_u - cross * cross
+        middle = 0.5 * (curvature_v + curvature_u)
+        if middle + math.sqrt(max(middle * middle - determinant, 0.0)) >= -1e-12:
             return None
-        step = -np.linalg.solve(hessian, gradient)
-        place[free] += step
-        if np.abs(place).max() > 1.0:
+        steps = (
+            (cross * gradient_u - curvature_u * gradient_v) / determinant,
+            (cross * gradient_v - curvature_v * gradient_u) / determinant,
+        )
+        place = [x + step for x, step in zip(place, steps)]
+        if max(map(abs, place)) > 1.0:
             return None
-        if np.abs(step).max() < 1e-9:
-            return (float(place[0]), float(place[1])), min(math.exp(value), 1.0)
+        if max(map(abs, steps)) < 1e-9:
+            return (place[0], place[1]), min(math.exp(value), 1.0)
     return None
 
 
@@ -92,8 +103,9 @@ class Texture:
     """
 
     def __init__(self, piece: np.ndarray) -> None:
-        covariance = autocovariance(piece)
-        rows, columns = piece.shape
+        # In single precision: nothing of this is needed to better than a thousandth.
+        rows, columns = (FARTHEST_LAG * (n - 1) // 4 + 1 for n in piece.shape)
+        covariance = autocovariance_of(deviation(piece).astype(np.float32), (rows - 1, columns - 1))
         # A lobe is never taken wider than this, so that a pattern of parallel stripes is seen to repeat itself.
         self.lobe = tuple(min(reach, n // 3) for reach, n in zip(central_lobe(covariance), piece.shape))
         v, u = self.lobe
@@ -146,11 +158,10 @@ def fall_beside(surface: np.ndarray, place: tuple[int, int], lags: tuple[int, in
 
 
 def _repetition(covariance: np.ndarray, lobe: tuple[int, int]) -> float:
-    """Largest autocovariance outside of the lobe, at lags of up to three quarters of the piece."""
+    """Largest autocovariance outside of the lobe."""
     row, column = (n // 2 for n in covariance.shape)
-    far = tuple(slice(m - 3 * m // 4, m + 3 * m // 4 + 1) for m in (row, column))
-    outside = covariance[far].copy()
-    middle = tuple(slice(max(n // 2 - reach, 0), n // 2 + reach + 1) for n, reach in zip(outside.shape, lobe))
+    outside = covariance.copy()
+    middle = tuple(slice(max(m - reach, 0), m + reach + 1) for m, reach in zip((row, column), lobe))
     outside[middle] = 0.0
     return float(outside.max())
 

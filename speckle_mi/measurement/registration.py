@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from copy import copy
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy import fft, ndimage
@@ -35,18 +36,11 @@ ITERATIONS = 12
 CELLS = 5
 """Places of a box, along each axis, at which its sum is taken."""
 
-CONVERGED, SHARE_OF_NOISE = 1e-8, 0.05
-"""The next step that is not taken any more [px], absolute and as a share of what white noise of the residual's size
-makes."""
+CONVERGED = 1e-8
+"""Step below which the iteration ends [px]."""
 
 MOST_TAKEN_OFF = 1.5
 """Largest share by which Bartlett's weights are taken to have lessened a variance."""
-
-HALF_STENCIL = 5
-"""Pixels on each side in the moved image's derivative, which sets the step and the uncertainty, not the result."""
-
-STENCIL_BAND = 0.43
-"""Highest frequency [cycles/px] up to which that derivative is right, to 15 % at its end."""
 
 FARTHEST = 1.5
 """Distance from the start beyond which the iteration has left its peak [px]."""
@@ -89,31 +83,6 @@ def _dot(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.einsum("ij,ij->", a, b))
 
 
-def _stencil() -> np.ndarray:
-    """Taps of a central difference, least squares over the band."""
-    omega = 2 * np.pi * np.linspace(0.005, STENCIL_BAND, 400)
-    responses = 2.0 * np.sin(np.outer(omega, np.arange(1, HALF_STENCIL + 1)))
-    root = np.sqrt(omega)[:, None]
-    half = np.linalg.lstsq(responses / root, omega / root[:, 0], rcond=None)[0]
-    return np.concatenate([-half[::-1], [0.0], half])
-
-
-STENCIL = _stencil()
-
-
-def _derivative_transposed(values: np.ndarray, axis: int) -> np.ndarray:
-    """What the products of ``values`` with a derivative along ``axis`` are products of with the values derived.
-
-    The derivative is the stencil's, with an image continued as it ends at its edges.
-    """
-    around = [(HALF_STENCIL, HALF_STENCIL) if a == axis else (0, 0) for a in (0, 1)]
-    spread = ndimage.correlate1d(np.pad(values, around), -STENCIL, axis, mode="constant")
-    lead = np.moveaxis(spread, axis, 0)
-    lead[HALF_STENCIL] += lead[:HALF_STENCIL].sum(axis=0)
-    lead[-HALF_STENCIL - 1] += lead[-HALF_STENCIL:].sum(axis=0)
-    return np.moveaxis(lead[HALF_STENCIL:-HALF_STENCIL], 0, axis)
-
-
 class Subset:
     """A window of the reference, ready to be found in moved images to a fraction of a pixel.
 
@@ -148,7 +117,21 @@ class Subset:
 
     def _set_gradients(self, gradients: list[np.ndarray]) -> None:
         self.gradients = [self.along(g) for g in gradients]
-        self.gradients_derived = [[_derivative_transposed(g, a).copy() for a in self.axes] for g in self.gradients]
+
+    @cached_property
+    def _gradient_spectra(self) -> list[np.ndarray]:
+        """Of each gradient what its products with moved images are made of: with each frequency and its opposite."""
+        twice = np.full(self.size[1] // 2 + 1, 2.0)
+        twice[0] = 1.0
+        if self.size[1] % 2 == 0:
+            twice[-1] = 1.0
+        twice /= math.prod(self.size)
+        spectra = []
+        for gradient in self.gradients:
+            padded = np.zeros(self.size)
+            padded[self._inside] = gradient
+            spectra.append(fft.rfft2(padded).conj() * twice)
+        return spectra
 
     def _kept(self, valid: np.ndarray | None, displacement: tuple[int, int]) -> np.ndarray | None:
         """Pixels of the window, displaced, that no masked pixel of an image reaches; None if that is all of them."""
@@ -173,9 +156,12 @@ class Subset:
         """The window of ``image`` at a displacement and its margin, filtered as the registration sees it."""
         return fft.irfft2(self._spectrum(image, displacement), self.size)
 
+    @property
+    def _inside(self) -> tuple[slice, slice]:
+        return tuple(slice(m, m + w) for m, w in zip(self.margin, self.window))
+
     def _window(self, spectrum: np.ndarray) -> np.ndarray:
-        inside = tuple(slice(m, m + w) for m, w in zip(self.margin, self.window))
-        return fft.irfft2(spectrum, self.size)[inside]
+        return fft.irfft2(spectrum, self.size)[self._inside]
 
     def centred(self, values: np.ndarray) -> np.ndarray:
         """Values less their mean over the pixels that count, 0 elsewhere."""
@@ -189,9 +175,9 @@ class Subset:
         gradient = self.centred(gradient)
         return gradient - (_dot(gradient, self.values) / self.energy) * self.values if self.energy else gradient
 
-    def _shifted(self, spectrum: np.ndarray, place: np.ndarray) -> np.ndarray:
-        v, u = self.frequency
-        return (spectrum * np.exp(2j * np.pi * place[0] * v)) * np.exp(2j * np.pi * place[1] * u)
+    def _ramps(self, place: np.ndarray) -> list[np.ndarray]:
+        """Phases that shift a spectrum, along rows and along columns."""
+        return [np.exp(2j * np.pi * d * f.ravel()) for d, f in zip(place, self.frequency)]
 
     def find(
         self, moved: np.ndarray, displacement: tuple[int, int], start: np.ndarray, valid: np.ndarray | None = None
@@ -205,30 +191,47 @@ class Subset:
         if (kept := self._kept(valid, displacement)) is not None:
             return self._restricted(kept).find(moved, displacement, start)
         spectrum = self._spectrum(moved, displacement)
-        place = np.array(start, dtype=float)
-        inverse, last = None, 0.0
-        for _ in range(ITERATIONS):
-            values = self.centred(self._window(self._shifted(spectrum, place)))
-            energy, product = _dot(values, values), _dot(values, self.values)
-            if product <= 0.0 or energy <= 0.0 or self.energy <= 0.0:
-                return None
-            residual = (product / energy) * values - self.values
-            if inverse is None and (inverse := self._inverse((product / energy) * values)) is None:
-                return None
-            step = np.zeros(2)
-            step[self.axes] = inverse @ [_dot(g, residual) for g in self.gradients]
-            place -= step
-            if not np.abs(place - start).max() < FARTHEST:
-                return None
-            before, last = last, np.abs(step).max()
-            # Steps shrink by about the same factor each: what the next one will be is known without taking it.
-            following = last * min(1.0, last / before) if before else last
-            if following < max(CONVERGED, SHARE_OF_NOISE * self._noise(inverse, residual)):
-                break
+        if self.energy <= 0.0 or (ended := self._zero_of_score(spectrum, np.array(start, dtype=float))) is None:
+            return None
+        place, slope = ended
+        along_v, along_u = self._ramps(place)
+        spectrum *= along_v[:, None]
+        spectrum *= along_u
+        values = self.centred(self._window(spectrum))
+        energy, product = _dot(values, values), _dot(values, self.values)
+        if product <= 0.0 or energy <= 0.0:
+            return None
+        inverse = np.linalg.inv((product / energy) * slope)
         covariance = np.full((2, 2), np.nan)
         covariance[np.ix_(self.axes, self.axes)] = inverse @ self._score_variance(values, product, energy) @ inverse.T
         correlation = product / np.sqrt(energy * self.energy)
         return Found(np.add(displacement, place), covariance, min(float(correlation), 1.0))
+
+    def _zero_of_score(self, spectrum: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Displacement (v, u) [px] at which the products of the moved image with the gradients vanish; their slope there.
+
+        The products are linear in the moved image, so that sums over frequencies tell them at every displacement; the
+        image's gain drops out. The slope has the moved image's gradient beside the reference's: what both share counts
+        and not the noise of either. None as of `find`.
+        """
+        place = start.copy()
+        products = [spectrum * gradient for gradient in self._gradient_spectra]
+        for _ in range(ITERATIONS):
+            along_v, along_u = self._ramps(place)
+            sides = [(2j * np.pi * f.ravel()) * ramp for f, ramp in zip(self.frequency, (along_v, along_u))]
+            across = [along_v @ product for product in products]
+            score = np.array([float((a @ along_u).real) for a in across])
+            slope = [[sides[0] @ (p @ along_u), a @ sides[1]] for p, a in zip(products, across)]
+            slope = np.real(slope)[:, self.axes]
+            if not np.linalg.eigvalsh(slope + slope.T).min() > 0.0:
+                return None
+            step = np.linalg.solve(slope, score)
+            place[self.axes] -= step
+            if not np.abs(place - start).max() < FARTHEST:
+                return None
+            if np.abs(step).max() < CONVERGED:
+                break
+        return place, slope
 
     def _restricted(self, kept: np.ndarray) -> Subset:
         """The same window with fewer pixels that count."""
@@ -237,21 +240,8 @@ class Subset:
         other.values = other.centred(self.values)
         other.energy = _dot(other.values, other.values)
         other._set_gradients(self.gradients)
+        vars(other).pop("_gradient_spectra", None)  # of all of the window
         return other
-
-    def _inverse(self, values: np.ndarray) -> np.ndarray | None:
-        """Inverse of the derivative of the score by the displacement, None where the correlation has no maximum.
-
-        With the moved image's gradient beside the reference's: what both share counts and not the noise of either.
-        """
-        slope = np.array([[_dot(d, values) for d in derived] for derived in self.gradients_derived])
-        if not np.linalg.eigvalsh(slope + slope.T).min() > 0.0:
-            return None
-        return np.linalg.inv(slope)
-
-    def _noise(self, inverse: np.ndarray, residual: np.ndarray) -> float:
-        """Uncertainty [px] if the residual were white."""
-        return float(np.sqrt(np.abs(np.diag(inverse)).min() * _dot(residual, residual) / residual.size))
 
     def _score_variance(self, values: np.ndarray, product: float, energy: float) -> np.ndarray:
         # What the moved image does not share with the reference. The whole sum is the same with the residual of the
@@ -262,12 +252,12 @@ class Subset:
 
 def _cell_sums(values: np.ndarray, cell: int, axis: int) -> np.ndarray:
     """Sums over cells of so many pixels along an axis; the last one may be smaller."""
-    lead = np.moveaxis(values, axis, 0)
+    lead = values if axis == 0 else values.T
     sums = np.copy(lead[::cell])  # in the order in which the values lie
     for start in range(1, cell):
         part = lead[start::cell]
         sums[: len(part)] += part
-    return np.moveaxis(sums, 0, axis)
+    return sums if axis == 0 else sums.T
 
 
 def _running_sums(values: np.ndarray, count: int, axis: int) -> np.ndarray:
