@@ -11,6 +11,8 @@ from speckle_mi.scene.parameters import describe, read_integer, read_number
 
 _NUMBERS = {
     "mean_electrons": {"above": 0.0, "at_most": 1e9, "unit": "e-"},
+    "exposure": {"above": 0.0, "at_most": 1e6, "unit": "s"},
+    "quantum_efficiency": {"above": 0.0, "at_most": 1.0},
     "read_noise": {"at_least": 0.0, "at_most": 1e6, "unit": "e-"},
     "full_well": {"at_least": 1.0, "at_most": 1e9, "unit": "e-"},
     "gain": {"above": 0.0, "at_most": 1e9, "unit": "e-/DN"},

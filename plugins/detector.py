@@ -28,6 +28,15 @@ A camera, described by any of these; the image then has a channel ``DN`` with th
    - Mean photoelectrons of a pixel: each frame is exposed so that its own mean is this [e-]. (Default: an eighth of
      the full well; 1000 without one; not with ``exposure``)
    -
+ * - exposure
+   - |float|
+   - Exposure time [s]: electrons follow from the laser's ``power``, all of which falls on the target and is scattered
+     evenly into its half space, or as its BSDF does with ``lobe``.
+   -
+ * - quantum_efficiency
+   - |float|
+   - Electrons a photon on the sensitive part, for ``exposure``. (Default: 1)
+   -
  * - full_well
    - |float|
    - Charge at which a pixel saturates [e-]. (Default: none; with ``bit_depth`` eight times ``mean_electrons``)

@@ -33,6 +33,10 @@ Laser (:monosp:`laser`)
    - The same as ``wavefront_radius``, along the laser's local x and y axes: an astigmatic beam.
      (Default: ``wavefront_radius``)
    - |exposed|
+ * - power
+   - |float|
+   - Power of the beam [mW], from which a detector's ``exposure`` makes electrons. (Default: not said)
+   -
 
 A coherent Gaussian beam. Its light reaches the target unobstructed: it is not traced through the elements between
 target and detector. The wavefront radius is independent of the laser's distance, since collimating optics
@@ -83,12 +87,13 @@ import mitsuba as mi
 import numpy as np
 
 from speckle_mi.scattering.beam import Beam
-from speckle_mi.scene.parameters import describe, value_of
+from speckle_mi.scene.parameters import describe, read_number, value_of
 from ._beam import beam_of, check_beam, read_beam
 from ._numbers import check_numbers, expose, in_words, read_numbers
 from ._placement import Placement
 
 _LIMITS = {"wavelength": {"at_least": 1.0, "at_most": 1e6, "unit": "nm"}}
+_POWER = {"above": 0.0, "at_most": 1e9, "unit": "mW"}
 
 
 class Laser(mi.Emitter):
@@ -99,6 +104,7 @@ class Laser(mi.Emitter):
         self.placement = Placement(props)
         read_numbers(self, props, _LIMITS)
         self.shape = read_beam(self, props)
+        self.power = read_number(props, "power", **_POWER) if "power" in props else None
         self._check()
         super().__init__(props)
         self.m_flags = mi.EmitterFlags.DeltaDirection

@@ -118,6 +118,8 @@ class _Files:
         from .machine.files import refuse_other_settings
 
         refuse_other_settings(self.output, settings_of_image(self.output, settings), settings, force)
+        if self.picture and self.picture.exists() and not self.output.exists():
+            refuse_other_settings(self.picture, None, settings, force)
         if self.sources:
             refuse_other_settings(self.sources, settings_of_sources(self.sources), settings, force)
 

@@ -235,6 +235,89 @@ def test_both_ways_of_saying_how_bright_it_is_are_refused():
         Camera.of("c", mean_electrons=10.0, exposure=0.01)
 
 
+# Light of a known power
+
+
+def mean_electrons(assemble, sight, distance, surfaces=16, **given) -> float:
+    """Mean electrons of a pixel over surfaces, which scatter as many as they have scatterers, and the camera's."""
+    laser = {"beam_radius": 0.3, "power": 2.0, "wavelength": 500.0}
+    detector = {"camera": {"exposure": 1e-3, "quantum_efficiency": 0.5}, "width": 40, "height": 40, "pixel_pitch": 0.05}
+    target = {"point_sources": 300} | given.pop("target", {})
+    simulation = Simulation(assemble(free_space(
+        direction(25, 70), sight, laser=laser, detector_distance=distance, target=target, detector=detector, **given
+    )))  # fmt: skip
+    frames = [simulation.frame(seed=seed).image for seed in range(surfaces)]
+    return float(np.mean([frame.header["camera"]["electrons"] for frame in frames]))
+
+
+PHOTONS = 2e-3 * 1e-3 / (6.62607015e-34 * 299792458 / 500e-9)
+"""Of 2 mW for 1 ms at 500 nm."""
+
+PIXEL = 0.05**2
+"""Its area [mm^2]."""
+
+OF_CHANCE = 0.05
+"""Relative scatter of the mean of 16 images of some hundred speckles each, three standard errors."""
+
+
+@pytest.mark.parametrize("polar, distance", [(0.0, 60.0), (35.0, 80.0)])
+def test_even_light_of_a_known_power_frees_electrons_by_the_pixel_s_share_of_a_half_space(assemble, polar, distance):
+    found = mean_electrons(assemble, direction(polar, 200), distance)
+    assert found == pytest.approx(0.5 * PHOTONS * PIXEL / distance**2 / (2 * np.pi), rel=OF_CHANCE)
+
+
+def test_a_white_target_frees_electrons_by_lambert_s_law(assemble):
+    polar = 50.0
+    target = {"lobe": True, "bsdf": '<bsdf type="diffuse"><spectrum name="reflectance" value="0.6"/></bsdf>'}
+    found = mean_electrons(assemble, direction(polar, 200), 60.0, target=target)
+    radiant = 0.6 / np.pi * np.cos(np.radians(polar))
+    assert found == pytest.approx(0.5 * PHOTONS * PIXEL / 60.0**2 * radiant, rel=OF_CHANCE)
+
+
+def test_a_tilted_detector_catches_less(assemble):
+    tilt = np.radians(40)
+    turned = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+    found = mean_electrons(assemble, direction(0), 60.0, tilt=turned)
+    assert found == pytest.approx(0.5 * PHOTONS * PIXEL / 60.0**2 / (2 * np.pi) * np.cos(tilt), rel=OF_CHANCE)
+
+
+def test_all_light_that_passes_a_hole_comes_to_a_detector_behind_it(assemble):
+    radius, place, distance = 0.4, 20.0, 40.0
+    hole = (
+        f'<shape type="aperture" id="stop"><transform name="to_world"><translate z="{place}"/></transform>'
+        f'<float name="radius" value="{radius}"/><float name="outer_radius" value="9"/></shape>'
+    )
+    laser = {"beam_radius": 0.05, "power": 2.0, "wavelength": 500.0}
+    side = 32  # pixels, which together are twice as wide as the light behind the hole
+    detector = {"camera": {"exposure": 1e-3}, "width": side, "height": side, "pixel_pitch": 0.1}
+    simulation = Simulation(assemble(free_space(
+        direction(25, 70), laser=laser, detector_distance=distance, target={"point_sources": 100}, detector=detector,
+        extra=hole,
+    )))  # fmt: skip
+    frames = [simulation.frame(seed=seed).image.header["camera"]["electrons"] for seed in range(6)]
+    solid_angle = np.pi * radius**2 / place**2
+    assert np.mean(frames) * side**2 == pytest.approx(PHOTONS * solid_angle / (2 * np.pi), rel=0.1)
+
+
+def test_a_pixel_with_gaps_around_it_catches_its_part_of_the_light(assemble):
+    whole, part = (
+        Simulation(assemble(free_space(laser={"power": 1.0}, detector={"camera": camera}))).frame().image.header
+        for camera in ({"exposure": 1e-3, "fill_factor": 1.0}, {"exposure": 1e-3, "fill_factor": 0.4})
+    )
+    whole, part = (header["camera"]["electrons"] for header in (whole, part))
+    assert part / whole == pytest.approx(0.4, rel=1e-3)  # of the 0.006 mm of a pixel the speckle hardly changes
+
+
+@pytest.mark.parametrize(
+    "laser, target, said",
+    [({}, {}, "laser's power"), ({"power": 1.0, "beam_radius": np.inf}, {}, "has no power"),
+     ({"power": -1.0}, {}, "'power' is -1 mW")],
+)  # fmt: skip
+def test_an_exposure_needs_the_power_that_falls_on_the_target(assemble, laser, target, said):
+    with pytest.raises((SceneError, RuntimeError), match=said):
+        assemble(free_space(laser=laser, target=target, detector={"camera": {"exposure": 1e-3}}))
+
+
 @pytest.mark.parametrize("bits, kind", [(8, np.uint8), (6, np.uint8), (10, np.uint16), (16, np.uint16)])
 def test_saved_pictures_hold_the_numbers_as_they_are(tmp_path, bits, kind):
     from PIL import Image

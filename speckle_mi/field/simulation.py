@@ -110,7 +110,7 @@ class Simulation:
             warnings.append(_beyond_tolerance(error, setup.assembly.options.tolerance, stages))
         # No seed is in the hash: of the assembly that all frames share it is computed once.
         scene_hash = (self.assembly if options is None else setup.assembly).fingerprint()
-        picture = picture_of(setup.assembly, setup.pose, intensity, shot)
+        picture = picture_of(setup, plan.channels, intensity, shot)
         warnings += picture.warnings
         header = header_of(setup.assembly, scene_hash, setup.pose, scatterers.count, stages, error, warnings)
         image = FieldImage(intensity, centre, header | picture.header, dn=picture.dn)

@@ -7,9 +7,10 @@ The signal's way through a pixel (EMVA Standard 1288, release 4.0; J. R. Janesic
     charge     q  = min(Poisson(mu), full_well)
     number     DN = round(black_level + (q + read_noise n) / gain), at least 0, at most 2^bit_depth - 1
 
-I is the intensity on the pixel's sensitive part and s the exposure, so that the mean of s I is ``mean_electrons``; g
-and n are standard normal numbers. g is the pixel's own and the same in every frame, the rest is drawn anew for each.
-Halves are rounded to even. Where nothing is cut off a number's variance against its mean is the photon transfer curve,
+I is the intensity on the pixel's sensitive part and s the exposure, so that the mean of s I is ``mean_electrons``, or
+that of a laser's ``power``, an ``exposure`` time and a ``quantum_efficiency`` (:mod:`theory.radiometry`); g and n are
+standard normal numbers. g is the pixel's own and the same in every frame, the rest is drawn anew for each. Halves are
+rounded to even. Where nothing is cut off a number's variance against its mean is the photon transfer curve,
 ``(mean - black_level) / gain + (read_noise / gain)^2 + 1/12``.
 """
 

@@ -77,7 +77,7 @@ class Assembly:
     pose: where the scene has its target, displaced from rest; sub_pixels: side of the square of sub-pixels that the
     intensity is averaged over; index: refractive index of the medium around everything, 1 for air. The beam's
     wavelength is that in this medium, and the elements' indices are relative to it. camera: what the detector's image
-    goes through, None where nothing is said of it.
+    goes through, None where nothing is said of it; power: of the laser [mW], None where it is not said.
     """
 
     beam: Beam
@@ -89,6 +89,7 @@ class Assembly:
     sub_pixels: int = 1
     index: float = 1.0
     camera: Camera | None = None
+    power: float | None = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Assembly) and self._whole == other._whole

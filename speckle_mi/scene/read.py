@@ -107,11 +107,13 @@ def _read(scene: mi.Scene, detectors: list[mi.Sensor], spp: int) -> list[Assembl
             sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
             index=medium,
             camera=detector.camera,
+            power=laser.power,
         )
         for detector in detectors
     ]
     for detector, assembly in zip(detectors, assemblies, strict=True):
         _require_in_air(elements, f"{detector.where}: the detector's centre", assembly.detector.centre)
+        _require_known_light(detector, assembly)
     _require_in_air(elements, f"{shape.where}: the middle of the spot", assemblies[0].spot.point)
     return assemblies
 
@@ -131,6 +133,20 @@ def _require_names(names: list[str]) -> None:
                 f"detector {name!r}: of several detectors each id names files, must be at most 100 letters, digits and "
                 "-_ (also . and spaces in between)"
             )
+
+
+def _require_known_light(detector: mi.Sensor, assembly: Assembly) -> None:
+    """SceneError for a camera with an exposure where the light's power on the target is not known."""
+    if assembly.camera is None or assembly.camera.exposure is None:
+        return
+    lacking = (
+        "the laser's power [mW] is not said: give it" if assembly.power is None
+        else "light without a beam_radius has no power: give the laser one" if assembly.beam.is_uniform
+        else "the target's own points do not tell their share of the power" if assembly.target.points is not None
+        else None
+    )  # fmt: skip
+    if lacking:
+        raise SceneError(f"{detector.where}: has an exposure, but {lacking}, or mean_electrons instead of the exposure")
 
 
 def _require_memory(detector: mi.Sensor) -> None:
@@ -184,8 +200,8 @@ def _only(candidates: list, kind: str, plugin: str):
         names = ", ".join(candidate.where.partition(" ")[2] for candidate in found)
         tag = f"<{kind} type={plugin!r}>"
         there = f"{len(found)} of {tag}: {names}" if found else f"no {tag}"
-        chosen = ", or one be chosen by its id (--detector; load_detectors takes all)" if found and kind == "sensor" else ""
-        raise SceneError(f"the scene has {there}, must have exactly one{chosen}")
+        choice = ", or one be chosen by its id (--detector; load_detectors takes all)"
+        raise SceneError(f"the scene has {there}, must have exactly one{choice if found and kind == 'sensor' else ''}")
     return found[0]
 
 

@@ -19,6 +19,7 @@ from .displacement import (
     system_displacement,
 )
 from .paraxial import CardinalPoints, cardinal_points, entrance_pupil, exit_pupil, paraxial_image, system_matrix
+from .radiometry import irradiance_per_intensity, photoelectrons, photon_energy
 from .speckle import (
     coherence_gaussian_beam,
     contrast_of_equal_phasors,
@@ -46,8 +47,11 @@ __all__ = [
     "first_order_displacement",
     "imaging_displacement",
     "intensity_pdf",
+    "irradiance_per_intensity",
     "paraxial_image",
     "per_degree",
+    "photoelectrons",
+    "photon_energy",
     "project_on_target",
     "shift_scatter",
     "speckle_shape_gaussian_beam",
