@@ -218,6 +218,10 @@ def test_render_writes_a_file_for_each_detector(tmp_path):
     one, other = read_field(tmp_path / "f.exr"), read_field(tmp_path / "f.right.exr")
     assert np.array_equal(one.field, other.field) and np.array_equal(one.dn, other.dn)
     refused(run("render", SCENE, "-o", "f.exr", "--detector", "up", *SMALL, cwd=tmp_path), "'up'", "'left', 'right'")
+    mine = tmp_path / "g.right.png"
+    mine.write_text("a drawing")
+    refused(run("render", SCENE, "-o", "g.exr", "--images", "png", *SMALL, cwd=tmp_path), "g.right.png", "--force")
+    assert mine.read_text() == "a drawing" and not list(tmp_path.glob("g.*.exr"))
 
 
 @pytest.fixture(scope="module")
