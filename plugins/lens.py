@@ -8,37 +8,48 @@ Lens (:monosp:`lens`)
 
  * - to_world
    - |transform|
-   - Place of the front vertex; the axis is the local z and runs into the glass. Only rotation and translation.
+   - Place of the first vertex; the axis is the local z and runs into the glass. Only rotation and translation.
    - |exposed|
- * - radius1, radius2
+ * - radius1, ..., radiusN
    - |float|
-   - Radii of curvature of the front and the back surface at their vertices [mm]; positive: centre of curvature on
-     the +z side, 0: plane. (Default: 0)
+   - Radii of curvature of the surfaces at their vertices [mm], in the order of the local z; positive: centre of
+     curvature on the +z side, 0: plane. The highest number given to any parameter tells how many there are, 2 to 40.
+     (Default: 0)
    - |exposed|
- * - conic1, conic2
+ * - conic1, ..., conicN
    - |float|
    - Conic constants; 0: sphere, -1: paraboloid, below -1: hyperboloid. (Default: 0)
    - |exposed|
- * - thickness
+ * - thickness1, ..., thicknessN-1
    - |float|
-   - Distance of the two vertices [mm]. (Required)
+   - Distances of each vertex to the next [mm]; of two surfaces also ``thickness``. (Required)
    - |exposed|
- * - diameter
+ * - ior1, ..., iorN-1
    - |float|
-   - Clear diameter of both surfaces [mm]. (Required)
+   - Indices of refraction behind each surface at the laser's wavelength, 1 to 10; relative to air in air, else to
+     vacuum; 1: an air gap. Of two surfaces also ``ior``. (Required)
    - |exposed|
- * - ior
+ * - diameter, or diameter1, ..., diameterN
    - |float|
-   - Index of refraction at the laser's wavelength, at least 1; relative to air in air, else to vacuum. (Required)
+   - Clear diameter of all surfaces, or of each [mm]. (Required)
    - |exposed|
+ * - reverse
+   - |boolean|
+   - Turns the lens round: its last surface comes first, with its vertex where ``to_world`` says. (Default: false)
+   -
  * - bsdf
    - |bsdf|
-   - A smooth dielectric whose ``int_ior`` is ``ior``; its ``specular_transmittance`` counts at each surface, and its
-     ``ext_ior`` says what everything stands in. (Default: a smooth dielectric of this index)
+   - A smooth dielectric whose ``int_ior`` is the first ``ior``; its ``specular_transmittance`` counts at each surface,
+     and its ``ext_ior`` says what everything stands in. (Default: a smooth dielectric of this index)
    -
 
-A thick lens of two surfaces of revolution, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, and a
-cylindrical rim. It stands in air, or in the ``ext_ior`` of the scene's dielectrics where that is another medium.
+Surfaces of revolution on one axis, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, with a medium
+between each and the next: a singlet, a cemented doublet or triplet, an air-spaced group in its barrel. It stands in air,
+or in the ``ext_ior`` of the scene's dielectrics where that is another medium.
+
+Around the glass is an opaque edge: a cylinder from rim to rim, where two rims differ with the larger one's radius and a
+level ring to the smaller. Light inside that comes beside a rim ends there. An aperture may stand in an air gap. Other
+integrators than ``coherent`` see the outer surfaces alone, with the first medium inside.
 
 .. tabs::
     .. code-tab:: xml
@@ -50,174 +61,130 @@ cylindrical rim. It stands in air, or in the ``ext_ior`` of the scene's dielectr
 
     .. code-tab:: python
 
-        'type': 'lens', 'radius1': 50.0, 'radius2': -50.0, 'thickness': 5.0, 'diameter': 20.0, 'ior': 1.5151
+        'type': 'lens', 'radius1': 62.8, 'radius2': -45.7, 'radius3': -128.2, 'thickness1': 4.0, 'thickness2': 2.5,
+        'ior1': 1.5151, 'ior2': 1.6676, 'diameter': 25.4
 """
 
 from __future__ import annotations
 
 import mitsuba as mi
-import numpy as np
 
-from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.outline import Circle
+from speckle_mi.optics.glass import FixedIndex
+from speckle_mi.optics.prescription import ROUNDING, Prescription
 from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
-from speckle_mi.scene.elements import Element
+from speckle_mi.scene.elements import OUTSIDE, Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import describe, value_of
-from ._mesh import (
-    ENCLOSING,
-    SECTORS,
-    evenly_in_slope,
-    fill_mesh,
-    move_mesh,
-    ring_faces,
-    rings,
-    rounding_room,
-    sector_angles,
-    sheet_faces,
-)
+from speckle_mi.scene.parameters import describe, read_boolean, value_of
+from speckle_mi.scene.write import ORIGIN
+from ._lens_mesh import bands_of, lens_faces, lens_vertices
+from ._lens_numbers import LensNumbers
+from ._mesh import fill_mesh, move_mesh
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
-
-_LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
-
-_CONIC = {"at_least": -1e4, "at_most": 1e4}
-"""Beyond, a surface is a cone that turns round within a point."""
-
-_LIMITS = {
-    "radius1": {"unit": "mm"},
-    "radius2": {"unit": "mm"},
-    "conic1": _CONIC,
-    "conic2": _CONIC,
-    "thickness": _LENGTH,
-    "diameter": _LENGTH,
-    "ior": {"at_least": 1.0, "at_most": 10.0},
-}
-_DEFAULTS = {"radius1": 0.0, "radius2": 0.0, "conic1": 0.0, "conic2": 0.0}
-
-_RINGS = 96
-"""Rings of vertices on each surface."""
-
-_GAP_SAMPLES = 4097
-"""Radii at which the thickness of the glass is looked at."""
-
-_ROUNDING = 1e-12
-"""Relative excess of a diameter over a full hemisphere that is only rounding."""
 
 
 class Lens(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        read_numbers(self, props, _LIMITS, _DEFAULTS)
+        self.numbers = LensNumbers(props)
+        read_numbers(self, props, self.numbers.limits, self.numbers.defaults)
+        self.reverse = read_boolean(props, "reverse", False)
         self._check()
         self.owns_bsdf = not has_bsdf(props)
         if self.owns_bsdf:
             props["bsdf"] = mi.load_dict({"type": "dielectric", "int_ior": self.index, "ext_ior": 1.0})
         super().__init__(props)
+        self.bands = bands_of(self.prescription().surfaces)
         vertices, normals = self._vertices()
-        fill_mesh(self, self.placement.frame, vertices, _faces(), normals)
+        fill_mesh(self, self.placement.frame, vertices, lens_faces(self.bands), normals)
 
     @property
     def index(self) -> float:
-        """Index of refraction of the glass."""
-        return value_of(self.ior)
+        """Index of refraction behind the first surface."""
+        return self.prescription().glasses[0].value
 
     def element(self) -> Element:
-        """The glass between its two surfaces."""
+        """The media between the surfaces, which :meth:`Element.at` gives their indices at a wavelength."""
         vertices, _ = self._vertices()
-        body = Body.mesh(self.placement.frame.to_world(vertices), _faces())
-        return Element(self.id(), "glass", self.surfaces(), body, index=self.index)
+        body = Body.mesh(self.placement.frame.to_world(vertices), lens_faces(self.bands))
+        last, glasses = self.numbers.surfaces - 1, self.prescription().glasses
+        sides = tuple((n - 1 if n > 0 else OUTSIDE, n if n < last else OUTSIDE) for n in range(last + 1))
+        return Element(self.id(), "glass", self.surfaces(), body, sides=sides, edged=True, glasses=glasses)
 
-    def surfaces(self) -> tuple[Surface, Surface]:
-        """Front and back surface in the world, each with its vertex and rim."""
-        front = self.placement.frame
-        back = Frame(front.origin + value_of(self.thickness) * front.axes[:, 2], front.axes)
-        rim = Circle(value_of(self.diameter) / 2)
-        return tuple(Surface(frame, *self._form(side), rim) for frame, side in ((front, 1), (back, 2)))
+    def surfaces(self) -> tuple[Surface, ...]:
+        """All surfaces in the world, each with its vertex and rim."""
+        return self.prescription().placed(self.placement.frame)
 
-    def _form(self, side: int) -> tuple[float, float]:
-        """Curvature [1/mm] and conic constant of the front (1) or back (2) surface."""
-        radius, conic = (value_of(getattr(self, f"{name}{side}")) for name in ("radius", "conic"))
-        return (1.0 / radius if radius else 0.0), conic
+    def prescription(self) -> Prescription:
+        """The lens as light meets it, turned round where it is to be."""
+        drawn = self._drawn()
+        return drawn.reversed() if self.reverse else drawn
+
+    def _drawn(self) -> Prescription:
+        """The lens in the order of its parameters."""
+        count = self.numbers.surfaces
+        media = range(1, count)
+        return Prescription(
+            tuple(self._surface(number) for number in range(1, count + 1)),
+            tuple(self._value(self.numbers.of_medium("thickness", number)) for number in media),
+            tuple(FixedIndex(self._value(self.numbers.of_medium("ior", number))) for number in media),
+        )
+
+    def _surface(self, number: int) -> Surface:
+        radius, conic = self._value(f"radius{number}"), self._value(f"conic{number}")
+        rim = Circle(self._value(self.numbers.diameter(number)) / 2)
+        return Surface(ORIGIN, 1.0 / radius if radius else 0.0, conic, rim)
+
+    def _value(self, name: str) -> float:
+        return value_of(getattr(self, name))
 
     def _check(self) -> None:
-        check_numbers(self, _LIMITS)
-        diameter, thickness = value_of(self.diameter), value_of(self.thickness)
-        for side in (1, 2):
-            curvature, conic = self._form(side)
-            if (1 + conic) * (curvature * diameter / 2) ** 2 > 1 + _ROUNDING:
+        check_numbers(self, self.numbers.limits)
+        lens = self._drawn()
+        for number, surface in enumerate(lens.surfaces, start=1):
+            name = self.numbers.diameter(number)
+            if surface.outline.reach > surface.widest * (1 + ROUNDING):
                 raise SceneError(
-                    f"{self.where}: parameter 'diameter' is {diameter:g} mm, must be at most "
-                    f"{2 / np.sqrt((1 + conic) * curvature**2):.7g} mm, the widest that 'radius{side}' = "
-                    f"{value_of(getattr(self, f'radius{side}')):g} mm with 'conic{side}' = {conic:g} allows"
+                    f"{self.where}: parameter {name!r} is {self._value(name):g} mm, must be at most "
+                    f"{2 * surface.widest:.7g} mm, the widest that 'radius{number}' = "
+                    f"{self._value(f'radius{number}'):g} mm with 'conic{number}' = {surface.conic:g} allows"
                 )
-        r = diameter / 2 * np.sin(np.linspace(0, np.pi / 2, _GAP_SAMPLES))
-        sag = [_sag(r, *self._form(side))[0] for side in (1, 2)]
-        glass = thickness + sag[1] - sag[0]
-        if np.min(glass) < -_ROUNDING * diameter:
-            at = int(np.argmin(glass))
-            raise SceneError(
-                f"{self.where}: the surfaces cross inside the diameter of {diameter:g} mm (thickness {glass[at]:.4g} "
-                f"mm at {r[at]:.4g} mm from the axis), must not: 'thickness' {thickness:g} mm must be at least "
-                f"{thickness - glass[at]:.7g} mm, or 'diameter' smaller"
-            )
+        for number, thickness in enumerate(lens.thicknesses, start=1):
+            least, at = lens.thinnest(number - 1)
+            if least < -ROUNDING * max(one.outline.reach for one in lens.surfaces):
+                name, rim = self.numbers.of_medium("thickness", number), self.numbers.diameter(number)
+                which = "" if self.numbers.surfaces == 2 else f" {number} and {number + 1}"
+                raise SceneError(
+                    f"{self.where}: the surfaces{which} cross inside the diameter of {self._value(rim):g} mm "
+                    f"(thickness {least:.4g} mm at {at:.4g} mm from the axis), must not: {name!r} {thickness:g} mm "
+                    f"must be at least {thickness - least:.7g} mm, or {rim!r} smaller"
+                )
 
-    def _vertices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (n, 3) [mm] and normals (n, 3) in the local frame: front, back, rim, each with its own."""
-        radius, thickness, angles = value_of(self.diameter) / 2, value_of(self.thickness), sector_angles()
-        reach = radius + thickness
-        edge = ENCLOSING * (radius + rounding_room(self.placement.frame, reach))
-        points, normals, ends = [], [], []
-        for side, vertex, outward in ((1, 0.0, -1.0), (2, thickness, 1.0)):
-            curvature, conic = self._form(side)
-            r = radius * evenly_in_slope(np.arange(1, _RINGS + 1) / _RINGS, radius, curvature, conic)
-            z, slope = _sag(r, curvature, conic)
-            # The rim of the mesh lies a trace outside the diameter, at the height of the surface's own rim.
-            profile = np.stack([np.append(r[:-1], edge), vertex + z], axis=-1)
-            tilt = np.concatenate([-outward * slope[:, :1], outward * slope[:, 1:]], axis=-1)
-            points += [[[0.0, 0.0, vertex]], rings(profile, angles)]
-            normals += [[[0.0, 0.0, outward]], rings(tilt, angles)]
-            ends.append(profile[-1])
-        points.append(rings(np.array(ends), angles))
-        normals.append(rings(np.array([[1.0, 0.0], [1.0, 0.0]]), angles))
-        return np.concatenate(points), np.concatenate(normals)
+    def _vertices(self):
+        """Vertices (n, 3) [mm] and normals (n, 3) in the local frame."""
+        return lens_vertices(self.prescription().placed(ORIGIN), self.placement.frame, self.bands)
 
     def traverse(self, callback) -> None:
         super().traverse(callback)
-        expose(self, _LIMITS, callback)
+        expose(self, self.numbers.limits, callback)
 
     def parameters_changed(self, keys) -> None:
         keys = list(keys)
         self.placement.parameters_changed(keys, self.where)
-        if {"to_world", *_LIMITS}.intersection(keys):
+        if {"to_world", *self.numbers.limits}.intersection(keys):
             self._check()
             keys += move_mesh(self, self.placement.frame, *self._vertices())
-        if "ior" in keys and self.owns_bsdf:
+        if self.owns_bsdf and any(key.startswith("ior") for key in keys):
             bsdf = mi.traverse(self.bsdf())
             bsdf["eta"] = self.index
             bsdf.update()
         super().parameters_changed(keys)
 
     def to_string(self) -> str:
-        return f"Lens[{in_words(self, _LIMITS)}]"
-
-
-def _sag(r: np.ndarray, curvature: float, conic: float) -> tuple[np.ndarray, np.ndarray]:
-    """Height (n,) [mm] of a surface above its vertex plane at radii r (n,), and (sine, cosine) (n, 2) of its slope."""
-    root = np.sqrt(np.maximum(1 - (1 + conic) * (curvature * r) ** 2, 0.0))
-    length = np.hypot(curvature * r, root)
-    return curvature * r * r / (1 + root), np.stack([curvature * r / length, root / length], axis=-1)
-
-
-def _faces() -> np.ndarray:
-    """Faces of front, back and rim, normals out of the glass."""
-    vertices = 1 + _RINGS * SECTORS
-    sheet = sheet_faces(_RINGS, SECTORS)
-    # Front to back is what outwards is on the other two, with the rim turned inside out.
-    rim = ring_faces(2, SECTORS)[:, ::-1]
-    return np.concatenate([sheet[:, ::-1], vertices + sheet, 2 * vertices + rim])
+        return f"Lens[{in_words(self, self.numbers.limits)}]"
 
 
 mi.register_shape("lens", Lens)

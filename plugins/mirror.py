@@ -157,7 +157,7 @@ class Mirror(mi.Mesh):
         steps = evenly_in_slope(np.arange(_RINGS + 1) / _RINGS, outline.reach, surface.curvature, surface.conic)
         r = outline.half_size[0] * steps
         point = _around(outline.centre, r, angles)
-        point[2] = surface.sag(point[0] ** 2 + point[1] ** 2)
+        point[2] = surface.sag(point[0], point[1])
         normal = -surface.gradient(point)
         # The rim of the mesh lies a trace outside the diameter, at the height of the surface's own rim.
         extent = outline.reach + float(np.max(np.abs(point[2])))

@@ -7,6 +7,7 @@ import pytest
 from exact_optics import Refractor, bench, element_xml, fermat, rendered_unit, spherical, tilted
 
 import speckle_mi  # noqa: F401  (finds LLVM and registers the plugins)
+from speckle_mi.scene.elements import OUTSIDE
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.outline import Circle, OffsetCircle
 from speckle_mi.optics.sequence import Interaction, Sequence
@@ -90,7 +91,7 @@ def test_light_along_the_axis_of_a_paraboloid_comes_to_its_focus_over_equal_path
     start = place.to_world(np.stack([x, y, np.full(x.size, 300.0)], axis=1))
     focus = place.to_world(np.array([[0.0, 0.0, 50.0]]))
     across = Interaction.through(Surface(Frame(focus[0], place.axes @ tilted(0.0, 50.0, 0.0))))
-    traced = trace(Sequence((element.interaction(0, False), across)), start, np.tile(-place.axes[:, 2], (x.size, 1)))
+    traced = trace(Sequence((element.interaction(0, OUTSIDE), across)), start, np.tile(-place.axes[:, 2], (x.size, 1)))
     assert traced.valid.all()
     assert np.abs(traced.points[1] - focus).max() < FOCUS_TOLERANCE
     assert np.abs(traced.optical_path_length - 350.0).max() < PATH_TOLERANCE
@@ -102,7 +103,7 @@ def test_an_ellipsoid_images_one_focus_on_the_other_over_equal_paths(conic):
     eccentricity = np.sqrt(-conic)
     near, far = (face.frame.to_world(np.array([[0.0, 0.0, 100.0 / (1 + sign * eccentricity)]])) for sign in (1, -1))
     x, y = inside(face.outline)
-    hit = face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
+    hit = face.frame.to_world(np.stack([x, y, face.sag(x, y)], axis=1))
     end = Interaction.through(Surface(Frame(far[0], face.frame.axes)))
     traced = trace(Sequence((Interaction.reflect(face), end)), np.repeat(near, x.size, axis=0), hit - near)
     assert traced.valid.all()
@@ -121,8 +122,8 @@ def test_a_catalogue_paraboloid_turns_the_light_by_its_off_axis_angle():
 
 def test_reflectance_is_of_the_intensity():
     element = mirror(PARABOLOID | {"reflectance": 0.81}).element()
-    assert element.interaction(0, False).amplitude == pytest.approx(0.9, abs=1e-15)
-    assert mirror(PARABOLOID).element().interaction(0, False).amplitude == 1.0
+    assert element.interaction(0, OUTSIDE).amplitude == pytest.approx(0.9, abs=1e-15)
+    assert mirror(PARABOLOID).element().interaction(0, OUTSIDE).amplitude == 1.0
 
 
 @pytest.mark.parametrize("conic", [0.0, -1.0, -2.0])
@@ -132,7 +133,7 @@ def test_light_that_climbs_in_a_deep_bowl_meets_its_wall(conic):
     angle = np.linspace(0.0, 2 * np.pi, 9)[:-1]
     for low, high in ((3.0, 23.0), (15.0, 15.5), (20.0, 20.0)):
         start, end = (
-            np.stack([r * np.cos(a), r * np.sin(a), np.full(8, face.sag(r * r))], axis=1)
+            np.stack([r * np.cos(a), r * np.sin(a), np.full(8, face.sag(r, 0.0))], axis=1)
             for r, a in ((low, angle), (high, angle + 2.0))
         )
         for one, two in ((start, end), (end, start)):
@@ -154,10 +155,10 @@ def test_rays_meet_the_mesh_inside_the_rim_from_both_sides_and_pass_beside_it(na
     whole = np.stack(inside(face.outline))
     # Not at the corners of the mesh: a ray exactly on an edge can slip through in single precision.
     rim = np.stack(face.outline.edge(0.001 + np.linspace(0, 2 * np.pi, 1001)))
-    high = 20.0 + 2 * abs(face.sag(face.outline.reach**2))
+    high = 20.0 + 2 * abs(face.sag(face.outline.reach, 0.0))
     just_inside, beside = (centre + scale * (rim - centre) for scale in (1 - 1e-6, 1.01))
     for places, met in ((whole, True), (just_inside, True), (beside, False)):
-        sag = face.sag((places**2).sum(axis=0))
+        sag = face.sag(*places)
         for side in (-1.0, 1.0):
             start = face.frame.to_world(np.stack([*places, np.full(sag.size, side * high)], axis=1))
             direction = mi.Vector3f((-side * face.frame.axes[:, 2]).tolist())

@@ -241,7 +241,7 @@ def test_edge_of_an_outline_has_no_clearance_and_spans_its_size(outline):
 def test_sag_lies_on_the_surface(conic):
     surface = Surface(frame(), 0.05, conic)
     squared = np.linspace(0.0, 160.0, 50)  # mm^2, for the flattest spheroid up to its equator
-    z = surface.sag(squared)
+    z = surface.sag(np.sqrt(squared), 0.0)
     residual = 0.05 * squared + 0.05 * (1 + conic) * z**2 - 2 * z
     np.testing.assert_allclose(residual, 0.0, atol=POINT_TOLERANCE)
 

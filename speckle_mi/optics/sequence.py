@@ -51,7 +51,7 @@ class Interaction:
                 f"{self.action} with indices {self.index_before}, {self.index_after}: "
                 "the medium changes only by refraction"
             )
-        if self.root != "vertex" and not (self.surface.curvature != 0.0 and self.surface.conic > -1.0):
+        if self.root != "vertex" and not self.surface.is_closed:
             raise ValueError(
                 f"root {self.root!r} needs a closed surface: a sphere or spheroid (curvature not 0, conic > -1)"
             )

@@ -6,11 +6,14 @@ A surface is a plane or a conic of revolution about the local z axis with its ve
 
 c the curvature [1/mm] (positive: centre of curvature on the +z side; 0: plane) and k the conic constant (0 sphere, -1
 paraboloid, k < -1 hyperboloid). Lengths are mm.
+
+A surface of another form is a subclass with its own ``sag``, ``gradient``, ``bend``, ``intersect``, ``crossings``,
+``turned`` and ``same_form``; nothing else of the optics knows what form a surface has.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,25 +68,53 @@ class Surface:
         return self.curvature == 0.0
 
     @property
+    def is_closed(self) -> bool:
+        """Whether the whole surface, beyond any rim, is closed: a sphere or spheroid."""
+        return self.curvature != 0.0 and self.conic > -1.0
+
+    @property
+    def widest(self) -> float:
+        """Distance [mm] from the axis up to which the sheet through the vertex reaches, inf where it has no end."""
+        bend = (1 + self.conic) * self.curvature**2
+        return float(1 / np.sqrt(bend)) if bend > 0 else np.inf
+
+    @property
     def middle(self) -> np.ndarray:
         """World point (3,) of the surface in the middle of its outline: the vertex, but for a part beside the axis."""
         if self.outline is None:
             return self.frame.origin
         x, y = self.outline.centre
-        return self.frame.to_world(np.array([[x, y, self.sag(x * x + y * y)]]))[0]
+        return self.frame.to_world(np.array([[x, y, self.sag(x, y)]]))[0]
 
-    def sag(self, squared: np.ndarray) -> np.ndarray:
-        """Height (n,) [mm] above the vertex plane at squared distances (n,) [mm^2] from the axis.
+    def sag(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Height (n,) [mm] above the vertex plane at local x, y (n,) [mm].
 
         c r^2 / (1 + sqrt(1 - (1 + k) c^2 r^2)); beyond the equator, where there is no surface, the root counts as 0.
         """
-        c, k = self.curvature, self.conic
+        c, k, squared = self.curvature, self.conic, x * x + y * y
         return c * squared / (1 + np.sqrt(np.maximum(1 - (1 + k) * c * c * squared, 0.0)))
 
     def gradient(self, point: np.ndarray) -> np.ndarray:
         """Half the gradient of the surface's equation at local points (3, n), (3, n); its length is 1 at the vertex."""
         c = self.curvature
         return np.stack([c * point[0], c * point[1], c * (1.0 + self.conic) * point[2] - 1.0])
+
+    def bend(self, point: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+        """How the gradient at local points (3, n) changes along tangents (3, T, n): (3, T, n), a new array."""
+        change = self.curvature * tangents
+        change[2] *= 1.0 + self.conic
+        return change
+
+    def turned(self) -> Surface:
+        """The same surface seen from its other side: turned by 180 degrees about the local y axis."""
+        return replace(self, curvature=-self.curvature, conic=self.conic)
+
+    def same_form(self, other: Surface, reach: float, tolerance: float) -> bool:
+        """Whether within ``reach`` [mm] of the axis both have one form, up to ``tolerance`` [mm] in height."""
+        if type(self) is not type(other):
+            return False
+        same = abs(self.curvature - other.curvature) * reach**2 / 2 < tolerance
+        return bool(same and abs(self.conic - other.conic) < tolerance)
 
     def normals(self, points: np.ndarray) -> np.ndarray:
         """Unit normals (n, 3) at world points (n, 3) of the surface, along local +z at the vertex."""

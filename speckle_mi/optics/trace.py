@@ -206,8 +206,8 @@ def _transfer(
     tangents -= direction[:, None] * (along / incidence)
     if surface.is_plane or interaction.action == "pass":
         return length, normal, None
-    normal_tangents = (surface.curvature * scale) * tangents
-    normal_tangents[2] *= 1.0 + surface.conic
+    normal_tangents = surface.bend(state[:, 0], tangents)
+    normal_tangents *= scale
     normal_tangents -= normal[:, None] * dot(normal[:, None], normal_tangents)
     return length, normal, normal_tangents
 

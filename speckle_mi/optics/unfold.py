@@ -9,7 +9,6 @@ import numpy as np
 from ..geometry.frames import Frame
 from ..geometry.plane import PlaneGrid
 from .sequence import Interaction
-from .surface import Surface
 
 
 def unfold(interactions: tuple[Interaction, ...], grid: PlaneGrid) -> tuple[tuple[Interaction, ...], PlaneGrid]:
@@ -23,7 +22,7 @@ def unfold(interactions: tuple[Interaction, ...], grid: PlaneGrid) -> tuple[tupl
     for interaction in interactions:
         surface = interaction.surface
         frame = Frame(turn @ surface.frame.origin + shift, turn @ surface.frame.axes)
-        image = Surface(frame, surface.curvature, surface.conic, surface.outline)
+        image = replace(surface, frame=frame)
         if interaction.action == "reflect" and surface.is_plane:
             unfolded.append(replace(interaction, surface=image, action="pass", root="vertex"))
             normal = frame.axes[:, 2]

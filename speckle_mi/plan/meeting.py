@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..geometry.plane import PlaneGrid
+from ..optics.edge import edge_crossing
 from ..optics.surface import Surface
-from ..scene.elements import Element
+from ..scene.elements import OUTSIDE, Element
 from .setup import Setup
 from .tracer import TARGET
 
@@ -22,8 +23,12 @@ COINCIDENT = 1e-8
 
 NOTHING, DETECTOR, WALL = "nothing", "detector", "wall"
 FACE, HOLE, SCREEN, OPAQUE = "face", "hole", "screen", "opaque"
-AIR = -1
-"""Number of the glass that a ray is in where it is in none."""
+
+Place = tuple[int, int]
+"""What light is in: numbers of an element and of the medium in it."""
+
+AIR: Place = (-1, OUTSIDE)
+"""What a ray is in that is in no element."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,7 @@ class Meetings:
                 self.things += [Thing(HOLE, number, 0), Thing(SCREEN, number, 0)]
             for face in range(len(element.faces) if element.kind in ("mirror", "glass") else 0):
                 self.things.append(Thing(FACE, number, face))
-            if _has_wall(element):
+            if element.edged:
                 self.things.append(Thing(WALL, number))
         self._index = {thing: place for place, thing in enumerate(self.things)}
         self._partners = _coincident_faces(self.elements)
@@ -79,15 +84,24 @@ class Meetings:
         """The face of another glass that touches a face all over, as in a cemented pair."""
         return self._partners.get((number, face))
 
+    def behind(self, face: tuple[int, int]) -> Place:
+        """What light from outside comes into through a face of glass."""
+        number, place = face
+        return number, self.elements[number].beyond(place, OUTSIDE)
+
+    def index_in(self, inside: Place) -> float:
+        """Refractive index of what light is in."""
+        return index_in(self.elements, inside)
+
     def passes_detector(self, places: np.ndarray, directions: np.ndarray) -> bool:
         """Whether any ray crosses the detector's plane from its front."""
         distance, _ = detector_crossing(self.detector, places, directions)
         return bool(np.any(np.isfinite(distance) & (distance > 0)))
 
-    def next(self, origin: np.ndarray, direction: np.ndarray, inside: int, left: tuple[int, int] | None) -> Met:
+    def next(self, origin: np.ndarray, direction: np.ndarray, inside: Place, left: tuple[int, int] | None) -> Met:
         """What rays from origins (n, 3) along unit directions (n, 3) meet next.
 
-        inside: number of the glass that all are in, or ``AIR``; left: element and face that they have just left.
+        inside: what all are in; left: element and face that they have just left.
         """
         count = len(origin)
         met = Met(np.full(count, np.inf), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64))
@@ -97,10 +111,12 @@ class Meetings:
             self._glass(met, origin, direction, inside, left)
         return met
 
-    def _glass(self, met: Met, origin, direction, inside: int, left) -> None:
-        """Inside a glass its own faces come first, then openings that it encloses, and the detector."""
-        for face in range(len(self.elements[inside].faces)):
-            self._face(met, origin, direction, inside, face, left, outside=False)
+    def _glass(self, met: Met, origin, direction, inside: Place, left) -> None:
+        """Inside a medium the faces around it come first, then openings that it encloses."""
+        number, medium = inside
+        for face, sides in enumerate(self.elements[number].sides):
+            if medium in sides:
+                self._face(met, origin, direction, number, face, left, outside=False)
         for number, element in enumerate(self.elements):
             if element.kind == "opening":
                 self._opening(met, origin, direction, number, left, strictly=True)
@@ -113,9 +129,10 @@ class Meetings:
         for number, element in enumerate(self.elements):
             if element.kind in ("mirror", "glass"):
                 for face in range(len(element.faces)):
-                    self._face(met, origin, direction, number, face, left, outside=True)
-            if _has_wall(element) and (left is None or left[0] != number):
-                distance = _wall_crossing(element, origin, direction)
+                    if element.kind == "mirror" or OUTSIDE in element.sides[face]:
+                        self._face(met, origin, direction, number, face, left, outside=True)
+            if element.edged and (left is None or left[0] != number):
+                distance = edge_crossing(element.faces, origin, direction, COINCIDENT)
                 self._take(met, distance, Thing(WALL, number))
         if self._opaque:
             numbers, distance = self._setup.tracer.nearest_opaque(origin, direction)
@@ -204,7 +221,7 @@ def stands_between(element: Element, start: np.ndarray, direction: np.ndarray, d
     between = np.zeros(len(start), dtype=bool)
     for face in element.faces:
         between |= np.any(within(_crossings(face, element.closed, start, direction)), axis=0)
-    return between | within(_wall_crossing(element, start, direction)) if _has_wall(element) else between
+    return between | within(edge_crossing(element.faces, start, direction, COINCIDENT)) if element.edged else between
 
 
 def _crossings(surface: Surface, closed: bool, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -222,7 +239,7 @@ def _crossings(surface: Surface, closed: bool, origin: np.ndarray, direction: np
 def _coincident_faces(elements: tuple[Element, ...]) -> dict[tuple[int, int], tuple[int, int]]:
     """Faces of glasses that are the same surface as a face of another glass, each with that one."""
     faces = [(number, face) for number, element in enumerate(elements) if element.kind == "glass" and not element.closed
-             for face in range(len(element.faces))]  # fmt: skip
+             for face in range(len(element.faces)) if OUTSIDE in element.sides[face]]  # fmt: skip
     found = {}
     for one in faces:
         for other in faces:
@@ -240,8 +257,8 @@ def _same_surface(one: Surface, other: Surface) -> bool:
         return False
     if one.is_plane and other.is_plane:
         return True
-    same_form = abs(one.curvature - np.sign(cosine) * other.curvature) * reach**2 / 2 < COINCIDENT
-    return same_form and abs(one.conic - other.conic) < COINCIDENT and np.linalg.norm(offset) < COINCIDENT
+    same_form = one.same_form(other if cosine > 0 else other.turned(), reach, COINCIDENT)
+    return same_form and np.linalg.norm(offset) < COINCIDENT
 
 
 def _inward(element: Element, face: int) -> np.ndarray:
@@ -251,24 +268,6 @@ def _inward(element: Element, face: int) -> np.ndarray:
     return axis if (middle - element.faces[face].frame.origin) @ axis > 0 else -axis
 
 
-def _has_wall(element: Element) -> bool:
-    """Whether a glass has a rim beside its two faces, as a lens has."""
-    return element.kind == "glass" and len(element.faces) == 2
-
-
-def _wall_crossing(element: Element, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Distance (n,) [mm] to the cylinder between the rims of a lens, inf where it is not met."""
-    front, back = element.faces
-    radius = front.outline.reach
-    ends = [face.sag(np.array(radius**2)) + (face.frame.origin - front.frame.origin) @ front.frame.axes[:, 2]
-            for face in (front, back)]  # fmt: skip
-    p, d = front.frame.to_local(origin).T, (direction @ front.frame.axes).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        a, b, c = d[0] ** 2 + d[1] ** 2, p[0] * d[0] + p[1] * d[1], p[0] ** 2 + p[1] ** 2 - radius**2
-        root = np.sqrt(b * b - a * c)
-        found = np.full(len(origin), np.inf)
-        for length in ((-b - root) / a, (-b + root) / a):
-            z = p[2] + length * d[2]
-            hit = (length > COINCIDENT) & (z > min(ends) + COINCIDENT) & (z < max(ends) - COINCIDENT)
-            found = np.where(hit, np.minimum(found, length), found)
-    return found
+def index_in(elements: tuple[Element, ...], inside: Place) -> float:
+    """Refractive index of what light is in, relative to the medium around everything."""
+    return 1.0 if inside == AIR else elements[inside[0]].index_of(inside[1])

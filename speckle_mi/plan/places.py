@@ -60,7 +60,7 @@ def on_face(face: Surface, closed: bool, share: np.ndarray) -> np.ndarray:
     disc[np.all(share == 0, axis=1)] = 0
     half = np.array(face.outline.half_size)
     x, y = np.array(face.outline.centre)[:, None] + (half * (disc if face.outline.is_round else share)).T
-    return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
+    return face.frame.to_world(np.stack([x, y, face.sag(x, y)], axis=1))
 
 
 def on_plane(frame: Frame, half: np.ndarray, share: np.ndarray, middle: tuple[float, float]) -> np.ndarray:
@@ -76,7 +76,7 @@ def plane_at(
     if face.is_plane:
         return face, on_face(face, False, share)
     if not closed:
-        sag = float(face.sag(np.array((0.7 * face.outline.reach) ** 2)))
+        sag = float(face.sag(0.7 * face.outline.reach, 0.0))
         plane = Surface(Frame(face.frame.origin + sag * face.frame.axes[:, 2], face.frame.axes))
         return plane, on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), share, face.outline.centre)
     radius = 1 / abs(face.curvature)
@@ -92,7 +92,7 @@ def points_on(face: Surface) -> np.ndarray:
     radius, angle = np.sqrt(number / _FAN_SIDE**2), np.pi * (1 + 5**0.5) * number
     half_x, half_y = face.outline.half_size if face.outline else (1 / face.curvature,) * 2
     x, y = half_x * radius * np.cos(angle), half_y * radius * np.sin(angle)
-    return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
+    return face.frame.to_world(np.stack([x, y, face.sag(x, y)], axis=1))
 
 
 def axes_along(axis: np.ndarray) -> np.ndarray:

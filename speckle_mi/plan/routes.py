@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..optics.sequence import Interaction
-from .meeting import AIR, Meetings
+from .meeting import Meetings, Place, index_in
 from .places import hole_places
 from .search import Chain, Search, Start, Step
 from .setup import Setup
@@ -82,7 +82,7 @@ class _Paths:
     def __init__(self, meetings: Meetings, spots: np.ndarray, front: np.ndarray | None) -> None:
         self._meetings = meetings
         self._first = Search(meetings, Start(spots, normal=front))
-        self._searches: dict[tuple[int, int, int], Search] = {}
+        self._searches: dict[tuple[int, int, Place], Search] = {}
         self.stopped = self._first.stopped
 
     def to_detector(self) -> list[tuple[Chain, ...]]:
@@ -105,7 +105,7 @@ class _Paths:
             elif chain.end not in passed:
                 yield from self._longer((*path, chain), self._from_opening(chain.end, chain.side, chain.inside))
 
-    def _from_opening(self, number: int, side: int, inside: int) -> Search:
+    def _from_opening(self, number: int, side: int, inside: Place) -> Search:
         key = number, side, inside
         if key not in self._searches:
             face = self._meetings.elements[number].faces[0]
@@ -124,7 +124,7 @@ def _route(setup: Setup, path: tuple[Chain, ...]) -> Route:
         steps += chain.steps
         interactions += chain.interactions
         if chain.end is not None:
-            index = 1.0 if chain.inside == AIR else elements[chain.inside].index
+            index = index_in(elements, chain.inside)
             steps.append((chain.end, 0, "pass", "vertex"))
             interactions.append(Interaction.through(elements[chain.end].faces[0], index))
     names = tuple(elements[number].name for number, *_ in steps)
@@ -143,7 +143,7 @@ def _with_slack(interactions: list[Interaction]) -> list[Interaction]:
             continue
         places = hole_places(opening.surface, (0.0, 0.5, 1.0), 12)
         x, y, z = other.surface.frame.to_local(places).T
-        height = z - other.surface.sag(x * x + y * y)
+        height = z - other.surface.sag(x, y)
         if height.min() < 0 < height.max():
             slack = 2 * float(np.abs(height).max())
             done[first], done[first + 1] = (replace(one, slack=max(one.slack, slack)) for one in pair)

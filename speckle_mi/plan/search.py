@@ -19,13 +19,14 @@ from ..optics.aim import aim, rays_between
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import RayStatus, trace
-from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings
+from ..scene.elements import OUTSIDE
+from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings, Place
 from .places import on_face, on_pixels, plane_at, with_places
 from .sight import SPREAD, in_sight
 from .unfolding import launch_over_planes
 
 MAX_INTERACTIONS = 32
-"""Rays that have not arrived after this many surfaces are given up."""
+"""Rays that have not arrived after this many surfaces, or twice as many as there are, are given up."""
 
 MOST_SEQUENCES = 400
 """Sequences of faces from one start that are looked into: facing mirrors have no end of them."""
@@ -57,13 +58,13 @@ Step = tuple[int, int, str, str]
 
 @dataclass(frozen=True)
 class Start:
-    """Where rays begin: points (m, 3) [mm], in the glass ``inside`` or in ``AIR``.
+    """Where rays begin: points (m, 3) [mm], in the medium ``inside`` or in ``AIR``.
 
     normal: rays go only to its side, (3,), or to all sides (None); left: element and face that the points lie on.
     """
 
     points: np.ndarray
-    inside: int = AIR
+    inside: Place = AIR
     normal: np.ndarray | None = None
     left: tuple[int, int] | None = None
 
@@ -73,7 +74,7 @@ class Chain:
     """A way from a start to an opening or the detector.
 
     steps, interactions: at the faces between, in order; end: number of the opening's element, or None for the detector;
-    side: sign of the light's direction along the opening's normal; inside: glass that the end lies in, or ``AIR``;
+    side: sign of the light's direction along the opening's normal; inside: medium that the end lies in, or ``AIR``;
     starts, launches: (n, 3) of the rays that take it.
     """
 
@@ -81,7 +82,7 @@ class Chain:
     interactions: tuple[Interaction, ...]
     end: int | None
     side: int
-    inside: int
+    inside: Place
     starts: np.ndarray
     launches: np.ndarray
 
@@ -96,7 +97,7 @@ class _Sequence:
 
     steps: tuple[Step, ...]
     interactions: tuple[Interaction, ...]
-    inside: int
+    inside: Place
     left: tuple[int, int] | None
     starts: list[np.ndarray] = field(default_factory=list)
     launches: list[np.ndarray] = field(default_factory=list)
@@ -134,6 +135,7 @@ class Search:
     def __init__(self, meetings: Meetings, start: Start) -> None:
         self._meetings, self._start = meetings, start
         self._grid = meetings.detector
+        self._longest = max(MAX_INTERACTIONS, 2 * sum(len(element.faces) for element in meetings.elements))
         self.stopped: Counter = Counter()
         self._sequences: dict[tuple[Step, ...], _Sequence] = {}
         self._arrived: dict[tuple, list[tuple[np.ndarray, np.ndarray]]] = {}
@@ -179,7 +181,7 @@ class Search:
         starts, launches = starts[keep], launches[keep] / length[keep, None]
         root = self._sequences[()]
         waiting = [(root, starts, launches, starts, launches)]
-        for _ in range(MAX_INTERACTIONS):
+        for _ in range(self._longest):
             waiting = [further for bundle in waiting for further in self._advance(*bundle)]
             if not waiting:
                 return
@@ -218,24 +220,24 @@ class Search:
               distance) -> Iterator[tuple]:  # fmt: skip
         """One face acts on rays: refraction, reflection, or the end."""
         element = self._meetings.elements[number]
-        within = sequence.inside == number
-        interaction = self._interaction(element, face, within, root, places, directions, distance)
-        partner = self._meetings.partner(number, face) if within and interaction.action == "refract" else None
-        if partner is not None:
-            interaction = replace(interaction, index_after=self._meetings.elements[partner[0]].index)
+        within = sequence.inside[0] == number
+        interaction = self._interaction(
+            element, face, sequence.inside[1] if within else OUTSIDE, root, places, directions, distance
+        )
+        inside, left = sequence.inside, (number, face)
+        if interaction.action == "refract":
+            beyond = element.beyond(face, sequence.inside[1] if within else OUTSIDE)
+            inside = AIR if beyond == OUTSIDE else (number, beyond)
+            partner = self._meetings.partner(number, face) if within and beyond == OUTSIDE else None
+            if partner is not None:
+                left, inside = partner, self._meetings.behind(partner)
+                interaction = replace(interaction, index_after=self._meetings.index_in(inside))
         result = trace(Sequence((interaction,)), places, directions)
         total = result.status == RayStatus.TOTAL_INTERNAL_REFLECTION
         good = result.valid & (
             np.abs(result.optical_path_length / interaction.index_before - distance) < 1e3 * COINCIDENT
         )
         self.stopped[element.name] += int(np.count_nonzero(~good & ~total))
-        if interaction.action == "reflect":
-            inside = sequence.inside
-        elif within:
-            inside = AIR if partner is None else partner[0]
-        else:
-            inside = number
-        left = partner if partner is not None else (number, face)
         for chosen, what, to in ((good, interaction, inside), (total, _mirror(interaction), sequence.inside)):
             if not np.any(chosen):
                 continue
@@ -246,11 +248,11 @@ class Search:
             if longer is not None:
                 yield longer, starts[chosen], launches[chosen], after.points[0, chosen], after.directions[chosen]
 
-    def _interaction(self, element, face: int, within: bool, root: int, places, directions, distance) -> Interaction:
+    def _interaction(self, element, face: int, medium: int, root: int, places, directions, distance) -> Interaction:
         """A face's interaction with the crossing at which rays really meet it."""
-        interaction = element.interaction(face, within, root)
+        interaction = element.interaction(face, medium, root)
         surface = interaction.surface
-        if element.closed or surface.is_plane or surface.conic <= -1.0:
+        if element.closed or surface.is_plane or not surface.is_closed:
             return interaction
         local, along = surface.frame.to_local(places).T, (directions @ surface.frame.axes).T
         length, _ = surface.intersect(local, along, interaction.root)
@@ -261,10 +263,10 @@ class Search:
             else replace(interaction, root=("near", "far")[root])
         )
 
-    def _sequence_of(self, steps, interactions, inside: int, left) -> _Sequence | None:
+    def _sequence_of(self, steps, interactions, inside: Place, left) -> _Sequence | None:
         """The sequence of these steps; None where it is not looked into any more."""
         if steps not in self._sequences:
-            if len(self._sequences) >= MOST_SEQUENCES or len(steps) >= MAX_INTERACTIONS:
+            if len(self._sequences) >= MOST_SEQUENCES or len(steps) >= self._longest:
                 return None
             if self._bounces(steps) or self._is_trapped(interactions):
                 return None
@@ -382,7 +384,7 @@ class Search:
 
     def _system(self, sequence: _Sequence, plane: Surface) -> Sequence:
         """The faces of a sequence, and a plane where its light ends."""
-        index = 1.0 if sequence.inside == AIR else self._meetings.elements[sequence.inside].index
+        index = self._meetings.index_in(sequence.inside)
         placed = with_places(sequence.interactions, *self._rays_of(sequence))
         return Sequence((*placed, Interaction.through(plane, index)))
 

@@ -119,8 +119,8 @@ def _beyond_rim(surface: Surface) -> float:
     """How far [mm] a curved face goes on to bend around its rim, at the corners of a square around it."""
     if surface.is_plane or surface.outline is None:
         return 0.0
-    squared = surface.outline.reach**2
-    return _ROOM * float(abs(surface.sag(np.array(2 * squared)) - surface.sag(np.array(squared))))
+    reach = surface.outline.reach
+    return _ROOM * float(abs(surface.sag(reach, reach) - surface.sag(reach, 0.0)))
 
 
 def rims_of(
@@ -163,7 +163,7 @@ def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -
         # Cut out beside the axis, a rim lies in no plane: the one through its middle stands for it.
         plane = Surface(Frame(surface.middle, surface.frame.axes), outline=Circle(outline.radius))
         return Rim(name, plane, number, number, interaction.index_before, False, normal)
-    sag = surface.sag(outline.reach**2)
+    sag = surface.sag(outline.reach, 0.0)
     bulges = sag * float(travel @ axis) > 0
     if bulges and interaction.action == "reflect":
         sag = 0.0  # light never comes to the plane of a convex mirror's rim: take the one through its vertex

@@ -23,7 +23,7 @@ _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True)
-class Glass:
+class Dielectric:
     """inside: index of refraction of a glass; outside: of the medium it stands in, None where that is not known.
 
     Where it is not known, ``inside`` is relative to it.
@@ -58,7 +58,7 @@ def innermost(bsdf: mi.BSDF) -> mi.BSDF:
     return held[0]
 
 
-def glass_of(shape: mi.Shape, target: mi.Shape) -> Glass | None:
+def glass_of(shape: mi.Shape, target: mi.Shape) -> Dielectric | None:
     """The glass that a shape's dielectric makes of it, None for another material and where a plugin made its own.
 
     Exact where the scene's file was read with ``target``; where the dielectric was changed since, the index is the
@@ -78,7 +78,7 @@ def glass_of(shape: mi.Shape, target: mi.Shape) -> Glass | None:
         inside = quotient * outside
     if shape.has_flipped_normals():
         inside, outside = (1 / inside, None) if outside is None else (outside, inside)
-    return Glass(inside, outside)
+    return Dielectric(inside, outside)
 
 
 def medium_around(shapes: Iterable[mi.Shape], target: mi.Shape) -> float:
@@ -117,11 +117,11 @@ def strength(shape: mi.Shape, name: str) -> float:
     return value
 
 
-def require_dielectric(shape: mi.Shape, target: mi.Shape, medium: float) -> None:
-    """SceneError where a lens is given a BSDF that contradicts it: no dielectric, or one of another index."""
+def require_dielectric(shape: mi.Shape, index: float, target: mi.Shape, medium: float) -> None:
+    """SceneError where a lens is given a BSDF that contradicts it: no dielectric, or not one of ``index``, its first."""
     if shape.owns_bsdf:
         return
-    index, glass = shape.index, glass_of(shape, target)
+    glass = glass_of(shape, target)
     wanted = f"must be a dielectric of 'int_ior' = {index:.7g}, its 'ior', or be left out"
     if glass is None:
         material = innermost(shape.bsdf()).class_name()

@@ -92,8 +92,8 @@ def _read(scene: mi.Scene, detectors: list[mi.Sensor], spp: int) -> list[Assembl
         _require_memory(detector)
     shapes = shapes_of(scene, shape)
     medium = medium_around(shapes, shape)
-    elements = tuple(elements_of(shapes, shape, medium))
     beam = laser.beam()
+    elements = tuple(elements_of(shapes, shape, medium, beam.wavelength))
     beam, target = _aim(replace(beam, wavelength=beam.wavelength / medium), shape)
     _require_apart(elements)
     assemblies = [
@@ -174,24 +174,8 @@ def _require_apart(elements: tuple[Element, ...]) -> None:
 def _require_in_air(elements: tuple[Element, ...], what: str, point: np.ndarray) -> None:
     """SceneError where a point (3,) lies inside a glass, where no way of the light begins or ends."""
     for element in elements:
-        if element.kind == "glass" and _is_inside(element, point):
+        if element.kind == "glass" and element.is_inside(point, _ON_SURFACE):
             raise SceneError(f"{what} lies inside the glass of {element.name!r}, must lie outside")
-
-
-def _is_inside(element: Element, point: np.ndarray) -> bool:
-    """Whether a point (3,) lies between the faces of a glass, by more than rounding."""
-    if element.closed:
-        face = element.faces[0]
-        centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
-        return float(np.linalg.norm(point - centre)) < (1 - _ON_SURFACE) / abs(face.curvature)
-    middle = np.mean([face.frame.origin for face in element.faces], axis=0)
-    depths = []
-    for face in element.faces:
-        (x, y, z), (_, _, inwards) = face.frame.to_local(np.array([point, middle]))
-        if np.any(face.outline.margins(x, y) < 0):
-            return False
-        depths.append((z - face.sag(x * x + y * y)) * np.sign(inwards))
-    return min(depths) > _ON_SURFACE * element.size
 
 
 def _only(candidates: list, kind: str, plugin: str):

@@ -11,7 +11,7 @@ from ..geometry.frames import Frame
 from ..geometry.outline import Circle, Rectangle
 from ..optics.surface import Surface
 from .body import body_of
-from .elements import Element
+from .elements import OUTSIDE, Element
 from .errors import SceneError
 from .exact_transforms import precise_transform
 from .materials import glass_of, innermost, require_conductor, require_dielectric, strength
@@ -42,23 +42,28 @@ def shapes_of(scene: mi.Scene, target: mi.Shape) -> list[mi.Shape]:
     return sorted((shape for shape in scene.shapes() if shape is not target), key=lambda shape: shape.id())
 
 
-def elements_of(shapes: list[mi.Shape], target: mi.Shape, medium: float) -> list[Element]:
-    """What shapes are in a medium of index ``medium``. Raises SceneError for one that cannot be taken into account."""
+def elements_of(shapes: list[mi.Shape], target: mi.Shape, medium: float, wavelength: float) -> list[Element]:
+    """What shapes are to light of a vacuum wavelength [mm] in a medium of index ``medium``.
+
+    Raises SceneError for one that cannot be taken into account.
+    """
     found = [
-        _of_plugin(shape, target, medium) if hasattr(shape, "element") else _stock(shape, target) for shape in shapes
+        _of_plugin(shape, target, medium, wavelength) if hasattr(shape, "element") else _stock(shape, target) for shape in shapes
     ]
     for shape in (*shapes, target) if found else ():
         _require_near(shape)
     return found
 
 
-def _of_plugin(shape: mi.Shape, target: mi.Shape, medium: float) -> Element:
+def _of_plugin(shape: mi.Shape, target: mi.Shape, medium: float, wavelength: float) -> Element:
     """One of this package's own shapes, which knows its surfaces but not what it stands in."""
     element = shape.element()
     if element.kind == "glass":
-        require_dielectric(shape, target, medium)
+        element = _at(element, shape, wavelength)
+        require_dielectric(shape, element.index, target, medium)
         amplitude = np.sqrt(strength(shape, "specular_transmittance"))
-        return replace(element, index=element.index / medium, amplitude=float(amplitude))
+        media = tuple(index / medium for index in element.media)
+        return replace(element, media=media, amplitude=float(amplitude))
     if element.kind == "mirror":
         require_conductor(shape)
     return element
@@ -88,8 +93,17 @@ def _stock(shape: mi.Shape, target: mi.Shape) -> Element:
     if amplitude == 0.0:
         return Element(shape.id(), "opaque", (), body)
     glass = glass_of(shape, target)
-    index = 1.0 if glass is None else glass.index
-    return Element(shape.id(), kind, faces, body, index=index, closed=form == "Sphere", amplitude=amplitude)
+    media = () if glass is None else (glass.index,)
+    sides = ((OUTSIDE, 0),) * len(faces) if media else ()
+    return Element(shape.id(), kind, faces, body, media, sides, closed=form == "Sphere", amplitude=amplitude)
+
+
+def _at(element: Element, shape: mi.Shape, wavelength: float) -> Element:
+    """An element for light of a vacuum wavelength [mm]. SceneError where its glass is not known there."""
+    try:
+        return element.at(wavelength)
+    except ValueError as error:
+        raise SceneError(f"{describe_shape(shape)}: {error}") from None
 
 
 def _require_near(shape: mi.Shape) -> None:

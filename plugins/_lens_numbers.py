@@ -1,0 +1,83 @@
+"""The numbered parameters of a lens: how many surfaces they describe, their names, limits and defaults."""
+
+from __future__ import annotations
+
+import re
+
+import mitsuba as mi
+
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.scene.parameters import describe
+
+MOST_SURFACES = 40
+"""Surfaces of one lens: more are a mistake."""
+
+_OF_SURFACES = ("radius", "conic", "diameter")
+_OF_MEDIA = ("thickness", "ior")
+_NUMBERED = re.compile(rf"({'|'.join((*_OF_SURFACES, *_OF_MEDIA))})([1-9]\d*)")
+
+LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
+CONIC = {"at_least": -1e4, "at_most": 1e4}
+"""Beyond, a surface is a cone that turns round within a point."""
+
+INDEX = {"at_least": 1.0, "at_most": 10.0}
+
+
+class LensNumbers:
+    """Which numbers describe a lens: what ``props`` name decides.
+
+    surfaces: how many there are; limits: those of every number, by its name; defaults: of those that need not be given.
+    """
+
+    def __init__(self, props: mi.Properties) -> None:
+        self._where = describe(props)
+        self._given = set(props.keys())
+        self.surfaces, self._last = self._count()
+        if self.surfaces > MOST_SURFACES:
+            raise SceneError(
+                f"{self._where}: {self._last!r} makes {self.surfaces} surfaces, must be at most {MOST_SURFACES} of one lens"
+            )
+        self.limits: dict[str, dict] = {}
+        self.defaults: dict[str, float] = {}
+        for number in range(1, self.surfaces + 1):
+            self._take(f"radius{number}", {"unit": "mm"}, 0.0)
+        for number in range(1, self.surfaces + 1):
+            self._take(f"conic{number}", CONIC, 0.0)
+        for number in range(1, self.surfaces):
+            self._take(self.of_medium("thickness", number), LENGTH)
+        names = [self.diameter(number) for number in range(1, self.surfaces + 1)]
+        for name in dict.fromkeys(names):
+            self._take(name, LENGTH)
+        for number in range(1, self.surfaces):
+            self._take(self.of_medium("ior", number), INDEX)
+
+    def of_medium(self, kind: str, number: int) -> str:
+        """Name of the thickness or index between surface ``number`` and the next."""
+        numbered = f"{kind}{number}"
+        if kind in self._given and numbered in self._given:
+            raise SceneError(f"{self._where}: has {kind!r} and {numbered!r}, must have one of them")
+        if kind in self._given and self.surfaces > 2:
+            raise SceneError(
+                f"{self._where}: parameter {kind!r} is that of a lens of two surfaces, must be {kind + '1'!r} to "
+                f"'{kind}{self.surfaces - 1}': {self._last!r} makes {self.surfaces} surfaces"
+            )
+        return numbered if self.surfaces > 2 or numbered in self._given else kind
+
+    def diameter(self, number: int) -> str:
+        """Name of the clear diameter of surface ``number``."""
+        numbered = f"diameter{number}"
+        return numbered if numbered in self._given else "diameter"
+
+    def _take(self, name: str, limits: dict, *default: float) -> None:
+        self.limits[name] = limits
+        if default:
+            self.defaults[name] = default[0]
+
+    def _count(self) -> tuple[int, str]:
+        """How many surfaces there are, and the parameter that says so."""
+        found = [(2, "")]
+        for name in self._given:
+            if match := _NUMBERED.fullmatch(name):
+                kind, number = match[1], int(match[2])
+                found.append((number + (kind in _OF_MEDIA), name))
+        return max(found)
