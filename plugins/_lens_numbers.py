@@ -13,7 +13,7 @@ MOST_SURFACES = 40
 """Surfaces of one lens: more are a mistake."""
 
 _OF_SURFACES = ("radius", "conic", "diameter")
-_OF_MEDIA = ("thickness", "ior")
+_OF_MEDIA = ("thickness", "ior", "glass")
 _NUMBERED = re.compile(rf"({'|'.join((*_OF_SURFACES, *_OF_MEDIA))})([1-9]\d*)")
 
 LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
@@ -26,7 +26,8 @@ INDEX = {"at_least": 1.0, "at_most": 10.0}
 class LensNumbers:
     """Which numbers describe a lens: what ``props`` name decides.
 
-    surfaces: how many there are; limits: those of every number, by its name; defaults: of those that need not be given.
+    surfaces: how many there are; limits: those of every number, by its name; defaults: of those that need not be given;
+    glasses: by the numbers of the surfaces before them, the parameters that name a glass.
     """
 
     def __init__(self, props: mi.Properties) -> None:
@@ -35,7 +36,7 @@ class LensNumbers:
         self.surfaces, self._last = self._count()
         if self.surfaces > MOST_SURFACES:
             raise SceneError(
-                f"{self._where}: {self._last!r} makes {self.surfaces} surfaces, must be at most {MOST_SURFACES} of one lens"
+                f"{self._where}: {self._last!r} makes {self.surfaces} surfaces, must be at most {MOST_SURFACES}"
             )
         self.limits: dict[str, dict] = {}
         self.defaults: dict[str, float] = {}
@@ -48,8 +49,15 @@ class LensNumbers:
         names = [self.diameter(number) for number in range(1, self.surfaces + 1)]
         for name in dict.fromkeys(names):
             self._take(name, LENGTH)
+        self.glasses: dict[int, str] = {}
         for number in range(1, self.surfaces):
-            self._take(self.of_medium("ior", number), INDEX)
+            index, glass = self.of_medium("ior", number), self.of_medium("glass", number)
+            if glass in self._given and index in self._given:
+                raise SceneError(f"{self._where}: has {index!r} and {glass!r}, must have one of them")
+            if glass in self._given:
+                self.glasses[number] = glass
+            else:
+                self._take(index, INDEX)
 
     def of_medium(self, kind: str, number: int) -> str:
         """Name of the thickness or index between surface ``number`` and the next."""

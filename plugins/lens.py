@@ -27,8 +27,13 @@ Lens (:monosp:`lens`)
  * - ior1, ..., iorN-1
    - |float|
    - Indices of refraction behind each surface at the laser's wavelength, 1 to 10; relative to air in air, else to
-     vacuum; 1: an air gap. Of two surfaces also ``ior``. (Required)
+     vacuum; 1: an air gap. Of two surfaces also ``ior``. (This or a glass is required)
    - |exposed|
+ * - glass1, ..., glassN-1
+   - |string|
+   - Glasses behind each surface by name instead, at the laser's wavelength: ``N-BK7``, ``SCHOTT/N-BK7``,
+     ``fused silica``, ``PMMA``, ``air``. Of two surfaces also ``glass``.
+   -
  * - diameter, or diameter1, ..., diameterN
    - |float|
    - Clear diameter of all surfaces, or of each [mm]. (Required)
@@ -44,8 +49,12 @@ Lens (:monosp:`lens`)
    -
 
 Surfaces of revolution on one axis, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, with a medium
-between each and the next: a singlet, a cemented doublet or triplet, an air-spaced group in its barrel. It stands in air,
-or in the ``ext_ior`` of the scene's dielectrics where that is another medium.
+between each and the next: a singlet, a cemented doublet or triplet, an air-spaced group in its barrel. It stands in
+air, or in the ``ext_ior`` of the scene's dielectrics where that is another medium.
+
+Glasses by name have their makers' dispersion formulas, from the data of refractiveindex.info: indices relative to air
+at 20 C and 1 atm. A name that several makers use wants the maker's before it; one that nobody uses is refused with
+those that are near. The formula is taken at the wavelength as the laser gives it.
 
 Around the glass is an opaque edge: a cylinder from rim to rim, where two rims differ with the larger one's radius and a
 level ring to the smaller. Light inside that comes beside a rim ends there. An aperture may stand in an air gap. Other
@@ -70,13 +79,14 @@ from __future__ import annotations
 import mitsuba as mi
 
 from speckle_mi.geometry.outline import Circle
-from speckle_mi.optics.glass import FixedIndex
+from speckle_mi.optics.glass import FixedIndex, Glass, index_of
+from speckle_mi.optics.glass_catalogue import glass_named
 from speckle_mi.optics.prescription import ROUNDING, Prescription
 from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import OUTSIDE, Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import describe, read_boolean, value_of
+from speckle_mi.scene.parameters import describe, read_boolean, read_text, value_of
 from speckle_mi.scene.write import ORIGIN
 from ._lens_mesh import bands_of, lens_faces, lens_vertices
 from ._lens_numbers import LensNumbers
@@ -91,6 +101,7 @@ class Lens(mi.Mesh):
         self.placement = Placement(props)
         self.numbers = LensNumbers(props)
         read_numbers(self, props, self.numbers.limits, self.numbers.defaults)
+        self.glasses = {number: self._glass(props, name) for number, name in self.numbers.glasses.items()}
         self.reverse = read_boolean(props, "reverse", False)
         self._check()
         self.owns_bsdf = not has_bsdf(props)
@@ -103,8 +114,8 @@ class Lens(mi.Mesh):
 
     @property
     def index(self) -> float:
-        """Index of refraction behind the first surface."""
-        return self.prescription().glasses[0].value
+        """Index of refraction behind the first surface, of a glass by name that of yellow light."""
+        return index_of(self.prescription().glasses[0])
 
     def element(self) -> Element:
         """The media between the surfaces, which :meth:`Element.at` gives their indices at a wavelength."""
@@ -130,8 +141,19 @@ class Lens(mi.Mesh):
         return Prescription(
             tuple(self._surface(number) for number in range(1, count + 1)),
             tuple(self._value(self.numbers.of_medium("thickness", number)) for number in media),
-            tuple(FixedIndex(self._value(self.numbers.of_medium("ior", number))) for number in media),
+            tuple(self.glasses.get(number) or self._fixed(number) for number in media),
         )
+
+    def _fixed(self, number: int) -> FixedIndex:
+        return FixedIndex(self._value(self.numbers.of_medium("ior", number)))
+
+    def _glass(self, props: mi.Properties, parameter: str) -> Glass:
+        """A glass by name. SceneError with near names where there is none."""
+        name = read_text(props, parameter)
+        try:
+            return glass_named(name)
+        except ValueError as error:
+            raise SceneError(f"{self.where}: parameter {parameter!r}: {error}") from None
 
     def _surface(self, number: int) -> Surface:
         radius, conic = self._value(f"radius{number}"), self._value(f"conic{number}")

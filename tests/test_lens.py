@@ -207,7 +207,7 @@ def test_a_mesh_of_several_diameters_is_closed(mitsuba):
     ({"ior2": None}, "'ior2' is missing"),
     ({"diameter": None}, "'diameter' is missing"),
     ({"ior3": 1.5}, "'thickness3' is missing"),
-    ({"thickness": 4.0, "thickness1": None}, "'radius3' makes 3 surfaces"),
+    ({"thickness": 4.0, "thickness1": None}, "'thickness2' makes 3 surfaces"),
     ({"radius1000000": 4.0}, "makes 1000000 surfaces, must be at most 40"),
     ({"thickness1": 0.5}, "surfaces 1 and 2 cross.*'thickness1' 0.5 mm must be at least"),
     ({"radius2": -10.0}, "'diameter' is 22 mm, must be at most 20 mm, the widest that 'radius2'"),

@@ -15,7 +15,7 @@ from speckle_mi.geometry.rotation import rotation_matrix
 from speckle_mi.optics.sequence import Interaction, Sequence, amplitude_of
 from speckle_mi.optics.surface import Surface
 from speckle_mi.optics.unfold import unfold
-from speckle_mi.scene.elements import OUTSIDE
+from speckle_mi.scene.elements import OUTSIDE as AROUND
 from speckle_mi.scene.read import assembly_from_scene
 
 VACUUM = 632.8e-6  # mm
@@ -225,14 +225,14 @@ TEXTURE = '<texture type="checkerboard" name="{}"/>'
 @pytest.mark.parametrize("wrap", ["{}", '<bsdf type="twosided">{}</bsdf>'])
 def test_a_mirror_reflects_the_root_of_its_reflectance(assemble, kind, wrap):
     found = element(assemble, "odd", shape(kind, wrap.format(conductor(0.49))))
-    assert found.interaction(0, OUTSIDE).amplitude == pytest.approx(0.7, rel=1e-15)
+    assert found.interaction(0, AROUND).amplitude == pytest.approx(0.7, rel=1e-15)
     assert element(assemble, "odd", shape(kind, wrap.format(conductor("")))).amplitude == 1.0
 
 
 @pytest.mark.parametrize("kind", ["sphere", "cube"])
 def test_each_face_of_a_glass_passes_the_root_of_its_transmittance(assemble, kind):
     found = element(assemble, "odd", shape(kind, dielectric(int_ior=1.5, specular_transmittance=0.81)))
-    for medium in (OUTSIDE, 0):
+    for medium in (AROUND, 0):
         assert found.interaction(0, medium).amplitude == pytest.approx(0.9, rel=1e-15)
 
 

@@ -118,7 +118,7 @@ def strength(shape: mi.Shape, name: str) -> float:
 
 
 def require_dielectric(shape: mi.Shape, index: float, target: mi.Shape, medium: float) -> None:
-    """SceneError where a lens is given a BSDF that contradicts it: no dielectric, or not one of ``index``, its first."""
+    """SceneError where a lens is given a BSDF that contradicts it: no dielectric, or one of another index."""
     if shape.owns_bsdf:
         return
     glass = glass_of(shape, target)

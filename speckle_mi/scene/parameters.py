@@ -106,6 +106,14 @@ def read_choice(props: mi.Properties, name: str, default: str, choices: Iterable
     return value
 
 
+def read_text(props: mi.Properties, name: str) -> str:
+    """A text that is not empty."""
+    value = props[name]
+    if not isinstance(value, str) or not value.strip():
+        raise SceneError(f"{describe(props)}: parameter {name!r} is {value!r}, must be a text that is not empty")
+    return value
+
+
 def read_rigid_transform(props: mi.Properties) -> np.ndarray:
     """``to_world`` as a (4, 4) float64 matrix; the identity where it is absent."""
     if "to_world" not in props:

@@ -48,7 +48,8 @@ def elements_of(shapes: list[mi.Shape], target: mi.Shape, medium: float, wavelen
     Raises SceneError for one that cannot be taken into account.
     """
     found = [
-        _of_plugin(shape, target, medium, wavelength) if hasattr(shape, "element") else _stock(shape, target) for shape in shapes
+        _of_plugin(shape, target, medium, wavelength) if hasattr(shape, "element") else _stock(shape, target)
+        for shape in shapes
     ]
     for shape in (*shapes, target) if found else ():
         _require_near(shape)
