@@ -12,7 +12,7 @@ from speckle_mi.scene.parameters import describe
 MOST_SURFACES = 40
 """Surfaces of one lens: more are a mistake."""
 
-_OF_SURFACES = ("radius", "conic", "diameter")
+_OF_SURFACES = ("radius", "conic", "aspheric", "diameter")
 _OF_MEDIA = ("thickness", "ior", "glass")
 _NUMBERED = re.compile(rf"({'|'.join((*_OF_SURFACES, *_OF_MEDIA))})([1-9]\d*)")
 

@@ -20,6 +20,10 @@ Lens (:monosp:`lens`)
    - |float|
    - Conic constants; 0: sphere, -1: paraboloid, below -1: hyperboloid. (Default: 0)
    - |exposed|
+ * - aspheric1, ..., asphericN
+   - |string|
+   - Coefficients of r^4, r^6, ... of a surface [mm^-3, mm^-5, ...], up to ten between commas. (Default: none)
+   -
  * - thickness1, ..., thicknessN-1
    - |float|
    - Distances of each vertex to the next [mm]; of two surfaces also ``thickness``. (Required)
@@ -48,7 +52,8 @@ Lens (:monosp:`lens`)
      and its ``ext_ior`` says what everything stands in. (Default: a smooth dielectric of this index)
    -
 
-Surfaces of revolution on one axis, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` from each vertex, with a medium
+Surfaces of revolution on one axis, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + a_1 r^4 + a_2 r^6 + ...` from
+each vertex, with a medium
 between each and the next: a singlet, a cemented doublet or triplet, an air-spaced group in its barrel. It stands in
 air, or in the ``ext_ior`` of the scene's dielectrics where that is another medium.
 
@@ -79,6 +84,7 @@ from __future__ import annotations
 import mitsuba as mi
 
 from speckle_mi.geometry.outline import Circle
+from speckle_mi.optics.even_asphere import MOST_COEFFICIENTS, EvenAsphere
 from speckle_mi.optics.glass import FixedIndex, Glass, index_of
 from speckle_mi.optics.glass_catalogue import glass_named
 from speckle_mi.optics.prescription import ROUNDING, Prescription
@@ -86,7 +92,7 @@ from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import OUTSIDE, Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import describe, read_boolean, read_text, value_of
+from speckle_mi.scene.parameters import describe, read_boolean, read_list, read_text, value_of
 from speckle_mi.scene.write import ORIGIN
 from ._lens_mesh import bands_of, lens_faces, lens_vertices
 from ._lens_numbers import LensNumbers
@@ -102,6 +108,9 @@ class Lens(mi.Mesh):
         self.numbers = LensNumbers(props)
         read_numbers(self, props, self.numbers.limits, self.numbers.defaults)
         self.glasses = {number: self._glass(props, name) for number, name in self.numbers.glasses.items()}
+        self.aspheric = [
+            read_list(props, f"aspheric{number}", MOST_COEFFICIENTS) for number in range(1, self.numbers.surfaces + 1)
+        ]
         self.reverse = read_boolean(props, "reverse", False)
         self._check()
         self.owns_bsdf = not has_bsdf(props)
@@ -158,7 +167,10 @@ class Lens(mi.Mesh):
     def _surface(self, number: int) -> Surface:
         radius, conic = self._value(f"radius{number}"), self._value(f"conic{number}")
         rim = Circle(self._value(self.numbers.diameter(number)) / 2)
-        return Surface(ORIGIN, 1.0 / radius if radius else 0.0, conic, rim)
+        curvature, aspheric = 1.0 / radius if radius else 0.0, self.aspheric[number - 1]
+        if any(aspheric):
+            return EvenAsphere(ORIGIN, curvature, conic, rim, aspheric)
+        return Surface(ORIGIN, curvature, conic, rim)
 
     def _value(self, name: str) -> float:
         return value_of(getattr(self, name))

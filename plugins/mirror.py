@@ -18,6 +18,10 @@ Mirror (:monosp:`mirror`)
    - |float|
    - Conic constant; 0: sphere, -1: paraboloid, below -1: hyperboloid. (Default: 0)
    - |exposed|
+ * - aspheric
+   - |string|
+   - Coefficients of r^4, r^6, ... [mm^-3, mm^-5, ...], up to ten between commas. (Default: none)
+   -
  * - diameter
    - |float|
    - Diameter of the mirror across the axis [mm]. (Required)
@@ -37,7 +41,8 @@ Mirror (:monosp:`mirror`)
    -
 
 A thin mirror of limited size that reflects on both sides: the part of the surface of revolution
-:math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2})` that lies in a cylinder along the local z. The local origin is the
+:math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + a_1 r^4 + a_2 r^6 + ...` that lies
+in a cylinder along the local z. The local origin is the
 vertex of the whole surface, whether or not the mirror holds it: a paraboloid has its focus at z = ``radius`` / 2 on the
 local z axis for any ``off_axis``, and light along z meets it in a round spot of the full ``diameter``.
 
@@ -78,11 +83,13 @@ import numpy as np
 
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.outline import Circle, OffsetCircle
+from speckle_mi.optics.even_asphere import MOST_COEFFICIENTS, EvenAsphere
+from speckle_mi.optics.prescription import ROUNDING
 from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import describe, value_of
+from speckle_mi.scene.parameters import describe, read_list, value_of
 from ._mesh import ENCLOSING, SECTORS, evenly_in_slope, fill_mesh, move_mesh, rounding_room, sector_angles, sheet_faces
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
@@ -99,15 +106,13 @@ _DEFAULTS = {"radius": 0.0, "conic": 0.0, "off_axis": 0.0, "reflectance": 1.0}
 _RINGS = 96
 """Rings of vertices around the mirror's middle."""
 
-_ROUNDING = 1e-12
-"""Relative excess of a mirror's reach over a full hemisphere that is only rounding."""
-
 
 class Mirror(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
         read_numbers(self, props, _LIMITS, _DEFAULTS)
+        self.aspheric = read_list(props, "aspheric", MOST_COEFFICIENTS)
         self._check()
         self.owns_bsdf = not has_bsdf(props)
         if self.owns_bsdf:
@@ -129,15 +134,17 @@ class Mirror(mi.Mesh):
         """The surface with its vertex at the origin of ``frame``."""
         radius, off_axis, rim = value_of(self.radius), value_of(self.off_axis), value_of(self.diameter) / 2
         outline = OffsetCircle(rim, (off_axis, 0.0)) if off_axis else Circle(rim)
-        return Surface(frame, 1.0 / radius if radius else 0.0, value_of(self.conic), outline)
+        curvature, conic = 1.0 / radius if radius else 0.0, value_of(self.conic)
+        if any(self.aspheric):
+            return EvenAsphere(frame, curvature, conic, outline, self.aspheric)
+        return Surface(frame, curvature, conic, outline)
 
     def _check(self) -> None:
         check_numbers(self, _LIMITS)
         surface = self._surface(Frame(np.zeros(3), np.eye(3)))
-        bend = (1 + surface.conic) * surface.curvature**2
-        if bend * surface.outline.reach**2 <= 1 + _ROUNDING:
+        widest, off_axis = surface.widest, value_of(self.off_axis)
+        if surface.outline.reach <= widest * (1 + ROUNDING):
             return
-        widest, off_axis = 1 / np.sqrt(bend), value_of(self.off_axis)
         ends = f"where the surface of 'radius' = {value_of(self.radius):g} mm with 'conic' = {surface.conic:g} ends"
         if abs(off_axis) >= widest:
             raise SceneError(

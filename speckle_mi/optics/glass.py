@@ -83,8 +83,8 @@ class ModelGlass:
     """A glass of which only the index n_d at 587.5618 nm and Abbe's number V are known.
 
     Conrady's formula n = A + B/l + C/l^3.5 (l in um) through n_d, with n_F - n_C = (n_d - 1)/V and the partial
-    dispersion (n_g - n_F)/(n_F - n_C) = 0.6438 - 0.001682 V of normal glasses; its error is up to 5e-4 from 440 to 850 nm and
-    1.5e-3 from 400 to 1100 nm. V = 0: the index is n_d at all wavelengths.
+    dispersion (n_g - n_F)/(n_F - n_C) = 0.6438 - 0.001682 V of normal glasses; its error is up to 5e-4 from 440 to
+    850 nm and 1.5e-3 from 400 to 1100 nm. V = 0: the index is n_d at all wavelengths.
     """
 
     n_d: float

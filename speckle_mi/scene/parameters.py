@@ -114,6 +114,22 @@ def read_text(props: mi.Properties, name: str) -> str:
     return value
 
 
+def read_list(props: mi.Properties, name: str, most: int) -> tuple[float, ...]:
+    """A text of up to ``most`` finite numbers between commas or spaces; none where it is absent."""
+    if name not in props:
+        return ()
+    text = read_text(props, name)
+    try:
+        numbers = tuple(float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        numbers = (math.nan,)
+    if not all(map(math.isfinite, numbers)):
+        raise SceneError(f"{describe(props)}: parameter {name!r} is {text!r}, must be numbers such as '1.2e-5, -3e-8'")
+    if len(numbers) > most:
+        raise SceneError(f"{describe(props)}: parameter {name!r} has {len(numbers)} numbers, must have at most {most}")
+    return numbers
+
+
 def read_rigid_transform(props: mi.Properties) -> np.ndarray:
     """``to_world`` as a (4, 4) float64 matrix; the identity where it is absent."""
     if "to_world" not in props:
