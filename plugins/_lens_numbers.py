@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 
 import mitsuba as mi
 
+from speckle_mi.optics.glass import Glass
+from speckle_mi.optics.glass_catalogue import glass_named
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import describe
+from speckle_mi.scene.parameters import describe, read_text
 
 MOST_SURFACES = 40
 """Surfaces of one lens: more are a mistake."""
@@ -27,10 +30,11 @@ class LensNumbers:
     """Which numbers describe a lens: what ``props`` name decides.
 
     surfaces: how many there are; limits: those of every number, by its name; defaults: of those that need not be given;
-    glasses: by the numbers of the surfaces before them, the parameters that name a glass.
+    glasses: by the numbers of the surfaces before them, the parameters that name a glass. ``known``: the surfaces
+    behind which the glass is known without any.
     """
 
-    def __init__(self, props: mi.Properties) -> None:
+    def __init__(self, props: mi.Properties, known: Collection[int] = ()) -> None:
         self._where = describe(props)
         self._given = set(props.keys())
         self.surfaces, self._last = self._count()
@@ -56,7 +60,7 @@ class LensNumbers:
                 raise SceneError(f"{self._where}: has {index!r} and {glass!r}, must have one of them")
             if glass in self._given:
                 self.glasses[number] = glass
-            else:
+            elif number not in known:
                 self._take(index, INDEX)
 
     def of_medium(self, kind: str, number: int) -> str:
@@ -89,3 +93,12 @@ class LensNumbers:
                 kind, number = match[1], int(match[2])
                 found.append((number + (kind in _OF_MEDIA), name))
         return max(found)
+
+
+def read_glass(props: mi.Properties, parameter: str) -> Glass:
+    """A glass by name. SceneError with near names where there is none."""
+    name = read_text(props, parameter)
+    try:
+        return glass_named(name)
+    except ValueError as error:
+        raise SceneError(f"{describe(props)}: parameter {parameter!r}: {error}") from None

@@ -42,6 +42,11 @@ Lens (:monosp:`lens`)
    - |float|
    - Clear diameter of all surfaces, or of each [mm]. (Required)
    - |exposed|
+ * - filename
+   - |string|
+   - Instead of these a vendor's lens file, Zemax's as text (``.zmx``), beside the scene; a ``diameter``, ``ior`` or
+     ``glass`` of the scene replaces the file's. (Default: none)
+   -
  * - reverse
    - |boolean|
    - Turns the lens round: its last surface comes first, with its vertex where ``to_world`` says. (Default: false)
@@ -60,6 +65,10 @@ air, or in the ``ext_ior`` of the scene's dielectrics where that is another medi
 Glasses by name have their makers' dispersion formulas, from the data of refractiveindex.info: indices relative to air
 at 20 C and 1 atm. A name that several makers use wants the maker's before it; one that nobody uses is refused with
 those that are near. The formula is taken at the wavelength as the laser gives it.
+
+A file's surfaces in or at glass are the lens: standard ones and even aspheres, glasses by name or by index and Abbe's
+number, clear (CLAP, else DIAM) semi-diameters. What cannot be expressed is refused by the surface's number and type;
+what does not count (coatings, surfaces in air, a stop of its own) is left out, which the plan says.
 
 Around the glass is an opaque edge: a cylinder from rim to rim, where two rims differ with the larger one's radius and a
 level ring to the smaller. Light inside that comes beside a rim ends there. An aperture may stand in an air gap. Other
@@ -85,17 +94,17 @@ import mitsuba as mi
 
 from speckle_mi.geometry.outline import Circle
 from speckle_mi.optics.even_asphere import MOST_COEFFICIENTS, EvenAsphere
-from speckle_mi.optics.glass import FixedIndex, Glass, index_of
-from speckle_mi.optics.glass_catalogue import glass_named
+from speckle_mi.optics.glass import FixedIndex, index_of
 from speckle_mi.optics.prescription import ROUNDING, Prescription
 from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import OUTSIDE, Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import describe, read_boolean, read_list, read_text, value_of
+from speckle_mi.scene.parameters import describe, read_boolean, read_list, value_of
 from speckle_mi.scene.write import ORIGIN
+from ._lens_file import take_lens_file
 from ._lens_mesh import bands_of, lens_faces, lens_vertices
-from ._lens_numbers import LensNumbers
+from ._lens_numbers import LensNumbers, read_glass
 from ._mesh import fill_mesh, move_mesh
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
@@ -105,9 +114,10 @@ class Lens(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        self.numbers = LensNumbers(props)
+        self.glasses, self.note = take_lens_file(props)
+        self.numbers = LensNumbers(props, self.glasses)
         read_numbers(self, props, self.numbers.limits, self.numbers.defaults)
-        self.glasses = {number: self._glass(props, name) for number, name in self.numbers.glasses.items()}
+        self.glasses |= {number: read_glass(props, name) for number, name in self.numbers.glasses.items()}
         self.aspheric = [
             read_list(props, f"aspheric{number}", MOST_COEFFICIENTS) for number in range(1, self.numbers.surfaces + 1)
         ]
@@ -132,7 +142,8 @@ class Lens(mi.Mesh):
         body = Body.mesh(self.placement.frame.to_world(vertices), lens_faces(self.bands))
         last, glasses = self.numbers.surfaces - 1, self.prescription().glasses
         sides = tuple((n - 1 if n > 0 else OUTSIDE, n if n < last else OUTSIDE) for n in range(last + 1))
-        return Element(self.id(), "glass", self.surfaces(), body, sides=sides, edged=True, glasses=glasses)
+        faces = self.surfaces()
+        return Element(self.id(), "glass", faces, body, sides=sides, edged=True, glasses=glasses, note=self.note)
 
     def surfaces(self) -> tuple[Surface, ...]:
         """All surfaces in the world, each with its vertex and rim."""
@@ -155,14 +166,6 @@ class Lens(mi.Mesh):
 
     def _fixed(self, number: int) -> FixedIndex:
         return FixedIndex(self._value(self.numbers.of_medium("ior", number)))
-
-    def _glass(self, props: mi.Properties, parameter: str) -> Glass:
-        """A glass by name. SceneError with near names where there is none."""
-        name = read_text(props, parameter)
-        try:
-            return glass_named(name)
-        except ValueError as error:
-            raise SceneError(f"{self.where}: parameter {parameter!r}: {error}") from None
 
     def _surface(self, number: int) -> Surface:
         radius, conic = self._value(f"radius{number}"), self._value(f"conic{number}")

@@ -95,10 +95,10 @@ def make_plan(setup: Setup) -> Plan:
     lit = arrivals.in_area and any(strength.lit for strength in strengths)
     channels, stages = _channels(setup, bare, strengths) if lit else ([_channel(setup, one) for one in bare], [])
     stages = [*(stage for channel in channels for stage in channel.stages), *stages]
-    warnings = ()
+    warnings = tuple(f"{one.name}: {one.note}" for one in setup.assembly.elements if one.note)
     if not lit:
         stages.append(Stage(BESIDE))
-        warnings = (f"no geometric light reaches the detector: {blocker}",)
+        warnings += (f"no geometric light reaches the detector: {blocker}",)
     return Plan(tuple(channels), tuple(stages), warnings)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -25,7 +25,8 @@ class Element:
     closed: whether the one face is a whole sphere; edged: whether the faces stand behind one another on one axis, with
     an edge between their rims, as those of a lens; screen_radius: where the screen around an opening ends [mm];
     amplitude: factor of the light's amplitude at each reflection by a mirror or refraction at a face of glass; glasses:
-    what the media are made of, as far as that is known for other wavelengths.
+    what the media are made of, as far as that is known for other wavelengths; note: what of it does not
+    count, in words.
     """
 
     name: str
@@ -39,6 +40,7 @@ class Element:
     screen_radius: float | None = None
     amplitude: float = 1.0
     glasses: tuple[Glass, ...] = ()
+    note: str = field(default="", compare=False)
 
     @property
     def size(self) -> float:
