@@ -53,8 +53,11 @@ def radii_of(laser, name: str) -> np.ndarray:
     return np.array([value_of(getattr(laser, name) if value is None else value) for value in along], dtype=np.float64)
 
 
-def beam_of(laser, wavelength: float) -> Beam:
-    """A laser's beam of a wavelength [mm], given at its own place until it is aimed at a target."""
+def beam_of(laser, wavelength: float, share: float = 1.0) -> Beam:
+    """A laser's beam of a wavelength [mm], given at its own place until it is aimed at a target.
+
+    share: of the laser's power that it has.
+    """
     frame = laser.placement.frame
     return Beam(
         origin=frame.origin,
@@ -63,6 +66,7 @@ def beam_of(laser, wavelength: float) -> Beam:
         wavefront_radii=radii_of(laser, "wavefront_radius"),
         wavelength=wavelength,
         reference=frame.origin,
+        strength=float(np.sqrt(share)),
     )
 
 

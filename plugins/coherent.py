@@ -85,7 +85,7 @@ class Coherent(mi.SamplingIntegrator):
         for warning in frame.warnings:
             warnings.warn(warning, stacklevel=2)
         film = sensor.film()
-        film.prepare(self.aov_names() + (["DN"] if frame.image.dn is not None else []))
+        film.prepare(self.aov_names() + list(_further_channels(frame.image)))
         film.put_block(mi.ImageBlock(_film_channels(frame.image)))
         return film.develop() if develop else mi.TensorXf()
 
@@ -100,16 +100,25 @@ class Coherent(mi.SamplingIntegrator):
         return f"Coherent[method = {self.options.method}, tolerance = {self.options.tolerance}]"
 
 
+def _further_channels(image) -> dict[str, np.ndarray]:
+    """A camera's numbers, and the fields of several lasers, by the names of their channels."""
+    channels = {} if image.dn is None else {"DN": image.dn}
+    for name, values in image.layers.items():
+        channels |= {f"{name}.re": values.real, f"{name}.im": values.imag}
+    return channels
+
+
 def _film_channels(image) -> mi.TensorXf:
-    """The image as a film stores it: R, G, B, weight, then the field, and a camera's numbers."""
+    """The image as a film stores it: R, G, B, weight, then the field, and what else there is."""
+    further = _further_channels(image)
     rows, columns = image.intensity.shape
-    channels = np.empty((rows, columns, 6 if image.dn is None else 7), dtype=np.float32)
+    channels = np.empty((rows, columns, 6 + len(further)), dtype=np.float32)
     channels[..., :3] = image.intensity[..., None]
     channels[..., 3] = 1
     channels[..., 4] = image.field.real
     channels[..., 5] = image.field.imag
-    if image.dn is not None:
-        channels[..., 6] = image.dn
+    for number, values in enumerate(further.values(), start=6):
+        channels[..., number] = values
     return mi.TensorXf(channels)
 
 

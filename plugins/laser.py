@@ -12,8 +12,24 @@ Laser (:monosp:`laser`)
    - |exposed|
  * - wavelength
    - |float|
-   - Vacuum wavelength [nm]. (Required)
+   - Vacuum wavelength [nm]. (Required unless ``wavelengths`` is given)
    - |exposed|
+ * - wavelengths
+   - |string|
+   - Vacuum wavelengths [nm] of a laser of several lines, such as ``632.8, 780``.
+   -
+ * - weights
+   - |string|
+   - Powers of these lines relative to one another. (Default: all alike)
+   -
+ * - linewidth
+   - |float|
+   - Full width at half maximum of a line's Gaussian spectrum [nm], at most 5 % of the wavelength. (Default: 0)
+   - |exposed|
+ * - spectral_samples
+   - |integer|
+   - Wavelengths that stand for a line with a width, odd, 3 to 999. (Default: 15)
+   -
  * - beam_radius
    - |float|
    - 1/e^2 intensity radius where the beam meets the target at rest, perpendicular to it [mm].
@@ -55,6 +71,17 @@ x is across both). Each axis then has its own waist and half of Gouy's phase. Wa
 curvatures are equal, cylinders where one is zero, and between these to the square of the divergence; scatterers are
 counted in the ellipse of both radii (``point_sources`` of the target).
 
+Light of different wavelengths and of different lasers is incoherent: the detector sees the sum of the intensities. All
+of it lights the same scatterers, which lie as densely as the light asks for that needs them most densely. Every field
+stands in the image's file: ``E.re``, ``E.im`` are those of the first laser's first line; of several lasers or lines
+each laser has a layer ``<id>.E`` as well, and a further line number n of it ``<id>.line<n>.E``. The lines of a laser
+share its power by their ``weights``, which are in their fields.
+
+A line with a ``linewidth`` is summed at ``spectral_samples`` wavelengths evenly spaced in wavenumber, which takes as
+many times as long as one; the field written is that of its middle. Where paths differ by dL, its light is coherent by
+exp(-(pi dL linewidth/wavelength^2)^2 / (4 ln 2)). More samples are needed the longer the paths are that differ: a
+warning says when there are too few.
+
 Uniform light has the same amplitude everywhere; spherical, it goes through a point focus, behind which it diverges
 with the opposite sign.
 
@@ -87,12 +114,12 @@ import mitsuba as mi
 import numpy as np
 
 from speckle_mi.scattering.beam import Beam
-from speckle_mi.scene.parameters import describe, read_number, value_of
+from speckle_mi.scene.parameters import describe, read_number
 from ._beam import beam_of, check_beam, read_beam
-from ._numbers import check_numbers, expose, in_words, read_numbers
+from ._numbers import expose, in_words
 from ._placement import Placement
+from ._spectrum import LaserLine, check_spectrum, lines_of, read_spectrum, wavelengths_of
 
-_LIMITS = {"wavelength": {"at_least": 1.0, "at_most": 1e6, "unit": "nm"}}
 _POWER = {"above": 0.0, "at_most": 1e9, "unit": "mW"}
 
 
@@ -102,7 +129,7 @@ class Laser(mi.Emitter):
     def __init__(self, props: mi.Properties) -> None:
         self.where = describe(props)
         self.placement = Placement(props)
-        read_numbers(self, props, _LIMITS)
+        self.spectrum = read_spectrum(self, props)
         self.shape = read_beam(self, props)
         self.power = read_number(props, "power", **_POWER) if "power" in props else None
         self._check()
@@ -110,11 +137,15 @@ class Laser(mi.Emitter):
         self.m_flags = mi.EmitterFlags.DeltaDirection
 
     def beam(self) -> Beam:
-        """The beam, with its wavefront radius given at the laser's own place until it is aimed at a target."""
-        return beam_of(self, value_of(self.wavelength) * 1e-6)
+        """The beam of the longest wavelength, given at the laser's own place until it is aimed at a target."""
+        return beam_of(self, max(wavelengths_of(self)) * 1e-6)
+
+    def lines(self) -> list[LaserLine]:
+        """All its light, incoherent from one wavelength to the next."""
+        return lines_of(self)
 
     def _check(self) -> None:
-        check_numbers(self, _LIMITS)
+        check_spectrum(self, self.spectrum)
         check_beam(self, self.shape, self.beam)
 
     # What other integrators see: a collimated beam whose irradiance is that of one unit of power.
@@ -159,14 +190,15 @@ class Laser(mi.Emitter):
         return self.placement.to_world
 
     def traverse(self, callback) -> None:
-        expose(self, (*_LIMITS, *self.shape), callback)
+        expose(self, (*self.spectrum, *self.shape), callback)
 
     def parameters_changed(self, keys) -> None:
         self.placement.parameters_changed(keys, self.where)
         self._check()
 
     def to_string(self) -> str:
-        return f"Laser[wavelength = {value_of(self.wavelength)} nm, {in_words(self, self.shape, ' mm')}]"
+        colours = ", ".join(f"{wavelength:g}" for wavelength in wavelengths_of(self))
+        return f"Laser[wavelength = {colours} nm, {in_words(self, self.shape, ' mm')}]"
 
 
 mi.register_emitter("laser", Laser)

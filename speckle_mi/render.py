@@ -136,7 +136,7 @@ def _write(files: _Files, assembly, frame, settings: dict, pose: Pose | None, op
     image = replace(frame.image, header=frame.image.header | settings)
     write_field(files.output, image, layers)
     if files.sources:
-        write_sources(files.sources, assembly, frame.scatterers, settings)
+        write_sources(files.sources, assembly, frame.scatterers, settings, frame.parts)
     if files.picture:
         write_picture(files.picture, image)
     for line in frame.plan:

@@ -22,6 +22,9 @@ from .ray_bundle import STEP, RayBundle
 PATTERN_AXES = ("u", "v", "x", "y")
 CENTRE_AXES = ("cog_u", "cog_v")
 
+SAME = 1e-3
+"""Relative difference of what two lasers' patterns do up to which they are said to do the same."""
+
 AXES = (*PATTERN_AXES, *CENTRE_AXES)
 """Axes along which motion of the image is reported: the detector's, the target's, the detector's for the centre of
 gravity."""
@@ -30,10 +33,14 @@ gravity."""
 def expected_sensitivity(assembly: Assembly, plan: Plan | None = None) -> dict[str, np.ndarray | None]:
     """Sensitivities (6,) [mm/mm, mm/deg] to the six motions for every axis, None where there is no theory.
 
-    There is none where the light comes by several ways, or no ray leads from the spot to the detector's middle.
-    plan: of the assembly at rest, where it is known already.
+    There is none where the light comes by several ways, or no ray leads from the spot to the detector's middle. Of
+    several lasers or lines there is where all of them expect the same. plan: of the assembly at rest, where it is known
+    already.
     """
     expected: dict[str, np.ndarray | None] = dict.fromkeys(AXES)
+    if assembly.further:
+        parts = [expected_sensitivity(part) for part in assembly.named_parts]
+        return {axis: _common([part[axis] for part in parts]) for axis in AXES}
     plan = plan or plan_of(assembly)
     if len(plan.channels) != 1:
         return expected
@@ -75,12 +82,22 @@ def expected_correlation(
     Without a lens the material's motion across the Gaussian beam counts; with one, the motion of the light across the
     circular pupil. plan: of the assembly at rest, where it is known already.
     """
+    if assembly.further:
+        return _common([expected_correlation(part, dof, displacements) for part in assembly.named_parts])
     channels = (plan or plan_of(assembly)).channels
     if len(channels) != 1:
         return None
     if not channels[0].has_power:
         return _beam_correlation(assembly, dof, displacements)
     return _pupil_correlation(assembly, channels[0], dof, displacements)
+
+
+def _common(parts: list[np.ndarray | None]) -> np.ndarray | None:
+    """What all parts of the light expect, to ``SAME`` of the largest; None where they differ or one has none."""
+    if any(part is None for part in parts):
+        return None
+    whole = np.array(parts)
+    return parts[0] if np.all(np.ptp(whole, axis=0) <= SAME * np.abs(whole).max(initial=1e-300)) else None
 
 
 def _is_spot_of_beam(assembly: Assembly) -> bool:

@@ -55,7 +55,7 @@ def electrons_per_intensity(assembly: Assembly, channels: tuple[Channel, ...] = 
     """
     camera, grid = assembly.camera, assembly.detector
     target = assembly.target
-    irradiance = irradiance_per_intensity(assembly.power, target.point_sources, target.lobe is not None)
+    irradiance = irradiance_per_intensity(assembly.power, assembly.in_spot, target.lobe is not None)
     area = camera.fill_factor * grid.pitch**2
     slope = float(np.mean([_slope(channel, assembly.spot.point) for channel in channels])) if channels else 1.0
     return slope * photoelectrons(

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+
+import numpy as np
 
 from ..geometry.pose import Pose
 from ..images.field_image import FieldImage
@@ -13,11 +16,29 @@ from ..version import __version__
 
 
 @dataclass(frozen=True)
+class LightOnDetector:
+    """What light of one wavelength brings to the detector.
+
+    assembly: with this light as its first; field: complex (rows, columns) at the pixels' centres; intensity: float32,
+    averaged over the pixels; scatterers: what was summed; stages, error, warnings: as of the frame.
+    """
+
+    assembly: Assembly
+    field: np.ndarray
+    intensity: np.ndarray
+    scatterers: Scatterers
+    stages: tuple[Stage, ...]
+    error: float
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class FrameResult:
     """A field image with what was found out on the way.
 
     scatterers: what was summed; stages: what was done and why; numerical_error: estimated relative L2 error of the
-    field, NaN where it is not known (method ``rays``); warnings: one sentence each; seconds: it took.
+    field, NaN where it is not known (method ``rays``); warnings: one sentence each; seconds: it took; parts: what every
+    laser and line brought, whose intensities add up (the image's field and ``scatterers`` are the first's).
     """
 
     image: FieldImage
@@ -26,6 +47,7 @@ class FrameResult:
     numerical_error: float
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
+    parts: tuple[LightOnDetector, ...] = ()
 
     @property
     def plan(self) -> list[str]:
@@ -35,14 +57,16 @@ class FrameResult:
 
 def header_of(
     assembly: Assembly, scene_hash: str, pose: Pose, count: int, stages: tuple[Stage, ...], error: float,
-    warnings: list[str],
+    warnings: Iterable[str],
 ) -> dict:  # fmt: skip
     """What an image's file says of it: everything that it was made with, units in the names.
 
     scene_hash: the assembly's fingerprint.
     """
     grid, frame = assembly.detector, assembly.target.frame
-    return {
+    lights = [{"name": part.light, "wavelength_nm": round(part.vacuum_wavelength * 1e6, 9), "weight": part.weight}
+              for part in assembly.parts] if assembly.further else None  # fmt: skip
+    return ({"lights": lights} if lights else {}) | {
         "wavelength_nm": round(assembly.vacuum_wavelength * 1e6, 9),
         "pixel_pitch_mm": grid.pitch,
         "pose": str(pose),

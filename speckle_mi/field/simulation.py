@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..errors import InputError
 from ..geometry.plane import PlaneGrid
 from ..geometry.pose import Pose
 from ..images.field_image import FieldImage
@@ -27,7 +28,8 @@ from ..scattering.rough_surface import Scatterers
 from ..scene.assembly import Assembly, Options
 from .derivatives import DerivativeFields, derivative_fields
 from .exposure import picture_of
-from .frame import FrameResult, header_of
+from .frame import FrameResult, LightOnDetector, header_of
+from .incoherent import added_up, by_photons, layers_of, named, together, too_few_samples
 from .lobe import Lobe
 from .stages import ChannelField, channel_field, ray_channel
 
@@ -74,6 +76,7 @@ class Simulation:
         self._plans: dict[tuple[Pose, Options], Plan] = {}
         self._lobe: Lobe | None = None
         self._lock = threading.Lock()
+        self._further = tuple(Simulation(part, self._tracer) for part in assembly.parts[1:])
 
     def plan(self, pose: Pose | None = None, options: Options | None = None) -> Plan:
         """What is done for a frame with the target at ``pose`` (default: the pose that the scene has it in).
@@ -83,17 +86,18 @@ class Simulation:
         return self._plan(self._setup(self.assembly, pose, options))
 
     def cost(self, pose: Pose | None = None, options: Options | None = None) -> Cost:
-        """What a frame will cost, known beforehand from its plan. Raises SceneError as :meth:`plan`."""
+        """What a frame will cost, known beforehand from its plans. Raises SceneError as :meth:`plan`."""
         setup = self._setup(self.assembly, pose, options)
-        return cost_of(setup.assembly, self._plan(setup).channels)
+        own = cost_of(setup.assembly, self._plan(setup).channels)
+        return together(own, [one.cost(pose, options) for one in self._further], setup.assembly)
 
     @raised_as_such()
     @products_on_one_thread()
     def frame(
         self, pose: Pose | None = None, seed: int | None = None, options: Options | None = None, shot: int = 0,
-        lit: Scatterers | None = None,
+        lit: tuple[Scatterers, ...] | None = None,
     ) -> FrameResult:  # fmt: skip
-        """The field image with everything that was found out on the way.
+        """The field image with everything that was found out on the way; of several lasers or lines, of all light.
 
         pose: displacement of the target from rest (default: the scene's); seed: which surface (default: the scene's);
         options: of the integrator (default: the scene's); shot: which of the pictures that a camera takes there, whose
@@ -102,46 +106,70 @@ class Simulation:
         """
         began = time.perf_counter()
         setup = self._setup(self._surface(seed), pose, options)
+        lit = lit or (None,) * (1 + len(self._further))
+        parts = [one._light(pose, seed, options, own) for one, own in zip((self, *self._further), lit, strict=True)]
+        whole = added_up(setup.assembly, parts)
+        # No seed is in the hash: of the assembly that all frames share it is computed once.
+        scene_hash = (self.assembly if options is None else setup.assembly).fingerprint()
+        picture = picture_of(setup, self._plan(setup).channels, by_photons(whole, parts), shot)
+        warnings = (*whole.warnings, *picture.warnings)
+        count = whole.scatterers.count
+        header = header_of(setup.assembly, scene_hash, setup.pose, count, whole.stages, whole.error, warnings)
+        layers = layers_of(parts)
+        image = FieldImage(whole.intensity, whole.field, header | picture.header, dn=picture.dn, layers=layers)
+        seconds = time.perf_counter() - began
+        return FrameResult(image, whole.scatterers, whole.stages, whole.error, warnings, seconds, named(parts))
+
+    def _light(
+        self, pose: Pose | None, seed: int | None, options: Options | None, lit: Scatterers | None
+    ) -> LightOnDetector:
+        """What the first light alone brings to the detector."""
+        setup = self._setup(self._surface(seed), pose, options)
         plan, warnings = self._plan(setup), []
-        scatterers = _visible(setup, _illuminated(setup) if lit is None else lit, plan, warnings)
+        lit = _illuminated(setup) if lit is None else lit
+        warnings += too_few_samples(setup.assembly, lit)
+        scatterers = _visible(setup, lit, plan, warnings)
         centre, intensity, stages, error = self._detect(setup, scatterers, plan, warnings)
         warnings += plan.warnings
         if error > setup.assembly.options.tolerance:
             warnings.append(_beyond_tolerance(error, setup.assembly.options.tolerance, stages))
-        # No seed is in the hash: of the assembly that all frames share it is computed once.
-        scene_hash = (self.assembly if options is None else setup.assembly).fingerprint()
-        picture = picture_of(setup, plan.channels, intensity, shot)
-        warnings += picture.warnings
-        header = header_of(setup.assembly, scene_hash, setup.pose, scatterers.count, stages, error, warnings)
-        image = FieldImage(intensity, centre, header | picture.header, dn=picture.dn)
-        return FrameResult(image, scatterers, stages, error, tuple(warnings), time.perf_counter() - began)
+        return LightOnDetector(self.assembly, centre, intensity, scatterers, stages, error, tuple(warnings))
 
     @raised_as_such()
     @products_on_one_thread()
-    def lit(self, pose: Pose | None = None, seed: int | None = None) -> Scatterers:
-        """The scatterers under the beam, which do not depend on the detector, nor on what stands before it."""
-        return _illuminated(self._setup(self._surface(seed), pose, None))
+    def lit(self, pose: Pose | None = None, seed: int | None = None) -> tuple[Scatterers, ...]:
+        """The scatterers under every beam, which do not depend on the detector, nor on what stands before it."""
+        return tuple(_illuminated(one._setup(one._surface(seed), pose, None)) for one in (self, *self._further))
 
     @raised_as_such()
     @products_on_one_thread()
     def field_of(self, scatterers: Scatterers, pose: Pose | None = None) -> np.ndarray:
-        """The field (rows, columns) at the pixel centres that given scatterers make with the target at ``pose``."""
+        """The field (rows, columns) at the pixel centres that given scatterers make with the target at ``pose``.
+
+        Of several lasers, in the first one's light.
+        """
         setup = self._setup(self.assembly, pose, None)
         return self._field(setup, scatterers, self._plan(setup), (0.0, 0.0), [])[0]
 
     @raised_as_such()
     @products_on_one_thread()
     def derivatives(
-        self, pixels: np.ndarray, seed: int | None = None, lit: Scatterers | None = None
+        self, pixels: np.ndarray, seed: int | None = None, lit: tuple[Scatterers, ...] | None = None
     ) -> DerivativeFields:
         """The field on some pixels with its derivatives by the target's motions from rest and along u and v.
 
         pixels: (m,) flat indices of the detector, row by row; seed: which surface (default: the scene's); lit:
-        what :meth:`lit` gives at rest, where it is known. Raises SceneError as :meth:`frame`, InputError for ``rays``.
+        what :meth:`lit` gives at rest, where it is known. Raises SceneError as :meth:`frame`, InputError for ``rays``
+        and for incoherent light, whose intensity is not one field's.
         """
+        if self._further:
+            raise InputError(
+                f"the light of {1 + len(self._further)} lasers, lines or samples of a line adds up incoherently, which "
+                "one frame's derivatives do not know: sweep the target, or leave one laser of one wavelength"
+            )
         setup = self._setup(self._surface(seed), Pose(), None)
         plan = self._plan(setup)
-        scatterers = _visible(setup, _illuminated(setup) if lit is None else lit, plan, [])
+        scatterers = _visible(setup, _illuminated(setup) if lit is None else lit[0], plan, [])
         return derivative_fields(setup, plan, scatterers, pixels, self._radiation())
 
     def _surface(self, seed: int | None) -> Assembly:

@@ -45,13 +45,19 @@ def settings_of_sources(path: str | os.PathLike) -> object:
         return None
 
 
-def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict | None = None) -> None:
+def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict | None = None, parts=()) -> None:
     """Writes position, amplitude and pixel geometry, with which the field can be checked independently.
 
     In free space without a lobe the field is the sum of ``amplitude * exp(i k r) / r`` over ``position`` exactly. The
-    settings stand in the archive's comment.
+    settings stand in the archive's comment. parts: of a frame; of several lasers or lines each further one has arrays
+    ``position.<name>``, ``amplitude.<name>`` and ``wavelength.<name>``.
     """
-    grid = assembly.detector
+    grid, further = assembly.detector, {}
+    for part in parts[1:]:
+        if name := part.assembly.light:
+            further[f"position.{name}"] = part.scatterers.position
+            further[f"amplitude.{name}"] = part.scatterers.amplitude
+            further[f"wavelength.{name}"] = part.assembly.beam.wavelength
     with replacing(path) as temporary, open(temporary, "w+b") as file:
         np.savez(
             file,
@@ -62,6 +68,7 @@ def write_sources(path: str | os.PathLike, assembly, scatterers, settings: dict 
             v=grid.v,
             pitch=grid.pitch,
             wavelength=assembly.beam.wavelength,
+            **further,
         )
         with zipfile.ZipFile(file, "a") as archive:
             archive.comment = json.dumps(settings or {}).encode()

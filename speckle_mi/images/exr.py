@@ -38,7 +38,7 @@ def write_field(path: str | os.PathLike, image: FieldImage, layers: dict[str, np
     channels = {"Y": np.ascontiguousarray(image.intensity, dtype=np.float32)}
     if image.dn is not None:
         channels["DN"] = np.ascontiguousarray(image.dn, dtype=np.float32)
-    for name, values in {"E": image.field, **(layers or {})}.items():
+    for name, values in {"E": image.field, **image.layers, **(layers or {})}.items():
         channels[f"{name}.re"] = np.ascontiguousarray(values.real, dtype=np.float32)
         channels[f"{name}.im"] = np.ascontiguousarray(values.imag, dtype=np.float32)
     header = {"compression": OpenEXR.NO_COMPRESSION, "type": OpenEXR.scanlineimage}

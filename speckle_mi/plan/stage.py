@@ -28,6 +28,7 @@ SUM = "sum"
 RAYS = "rays"
 PIXELS = "pixels"
 NOTHING_SUMMED = "nothing summed"
+INCOHERENT = "incoherent"
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,8 @@ def in_words(stage: Stage) -> str:
             nodes = f", {stage.nodes} nodes" if stage.nodes is not None else ""
             shadow = "" if stage.share is None else f"; {stage.share:.1%} of the pixels in full or partial shadow"
             return f"sum to {named}{nodes}: {stage.how}{shadow}"
+        case "incoherent":
+            return f"intensities add up: {named}, {stage.count} wavelengths or lasers in all"
         case "rays":
             return f"rays: {stage.count} a source, {stage.rays} in all, reach {stage.share:.1%} of the pixels"
         case "pixels":

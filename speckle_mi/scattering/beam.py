@@ -18,7 +18,8 @@ class Beam:
     origin: (3,) place of the laser [mm]; axes: (3, 3) unit columns, the beam's principal axes x, y and its direction of
     propagation; radii: (2,) 1/e^2 intensity radii along x and y at ``reference`` [mm], inf = uniform;
     wavefront_radii: (2,) signed radii of curvature along x and y at ``reference`` [mm], positive for a diverging wave,
-    inf = plane; wavelength [mm]; reference: (3,) point of the axis at the target at rest [mm].
+    inf = plane; wavelength [mm]; reference: (3,) point of the axis at the target at rest [mm]; strength: modulus of the
+    field there.
 
     Along either axis it is the lowest Gaussian mode of complex parameter q = q_0 + s, s the distance along the beam
     from ``reference`` and 1/q_0 = 1/R_0 + i lambda/(pi w_0^2) the given values there (phasor e^{+ikL}; A. E. Siegman,
@@ -30,8 +31,8 @@ class Beam:
     so that radii, curvatures, amplitude and Gouy's phase (half a mode's from either root) are right before, in, between
     and behind the two waists. Wavefronts are no paraboloids: where both curvatures are equal they are spheres,
     sqrt(R^2 + r^2) - R, where one is zero cylinders. Where the waist is far a round beam is the exact spherical wave.
-    Uniform light has amplitude 1 everywhere, and its phase jumps by -pi/2 in each of its line foci, -pi in a point
-    focus. The error of the Gaussian field is about the square of the beam's divergence lambda/(pi w_waist) [rad].
+    Uniform light has the same amplitude everywhere, and its phase jumps by -pi/2 in each of its line foci, by -pi in a
+    point focus. The error of the Gaussian field is about the square of the beam's divergence lambda/(pi w_waist) [rad].
     """
 
     origin: np.ndarray
@@ -40,6 +41,7 @@ class Beam:
     wavefront_radii: np.ndarray
     wavelength: float
     reference: np.ndarray
+    strength: float = 1.0
 
     @classmethod
     def round(
@@ -146,7 +148,7 @@ class Beam:
         return -heading / np.linalg.norm(heading, axis=1, keepdims=True)
 
     def field(self, points: np.ndarray) -> np.ndarray:
-        """Complex amplitude at points (n, 3) [mm], (n,) complex128; 1 in modulus at ``reference``."""
+        """Complex amplitude at points (n, 3) [mm], (n,) complex128; ``strength`` in modulus at ``reference``."""
         lanes = arrays()
         x, y, z = (lanes.Float64(np.ascontiguousarray(column)) for column in np.asarray(points, dtype=np.float64).T)
         _, real, imaginary = BeamKernel(self).evaluate(lanes.Array3f64(x, y, z))

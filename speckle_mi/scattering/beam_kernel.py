@@ -31,6 +31,7 @@ class BeamKernel:
         ]
         self.inverse_wavenumber = opaque(1 / beam.wavenumber)
         self.inverse_wavelength = opaque(1 / beam.wavelength)
+        self.strength = None if beam.strength == 1 else opaque(beam.strength)
         self.common_waves = opaque(beam.reference_path / beam.wavelength % 1.0)
 
     def within(self, points):
@@ -64,6 +65,8 @@ class BeamKernel:
         waves = path * self.inverse_wavelength + self.common_waves
         sine, cosine = dr.sincos(2 * np.pi * (waves - dr.round(waves)))
         real, imaginary = self._envelope(along, across, steps, inverses)
+        if self.strength is not None:
+            real, imaginary = self.strength * real, self.strength * imaginary
         return to_source, real * cosine - imaginary * sine, real * sine + imaginary * cosine
 
     def _round(self, along, across, curvatures, spreads):

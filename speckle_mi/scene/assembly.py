@@ -59,6 +59,21 @@ class Target:
         return self.surface.facets.count == 1
 
 
+@dataclass(frozen=True, eq=False)
+class Light:
+    """Light of one wavelength on the target, incoherent with all other: its intensity adds to theirs.
+
+    name: of its field in an image's file, None for a sample of a line beside the line's middle; elements: as they are
+    at its wavelength; index: of the medium around everything; weight: factor of its intensity in the image's.
+    """
+
+    name: str | None
+    beam: Beam
+    elements: tuple[Element, ...]
+    index: float
+    weight: float = 1.0
+
+
 @dataclass(frozen=True)
 class Spot:
     """Middle of what scatters: point (3,) [mm] and unit normal (3,), world, of the surface that is lit there.
@@ -72,12 +87,17 @@ class Spot:
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """One laser, one target, one detector, the elements between, and what the scene asks of the integrator.
+    """One beam, one target, one detector, the elements between, and what the scene asks of the integrator.
 
     pose: where the scene has its target, displaced from rest; sub_pixels: side of the square of sub-pixels that the
     intensity is averaged over; index: refractive index of the medium around everything, 1 for air. The beam's
     wavelength is that in this medium, and the elements' indices are relative to it. camera: what the detector's image
     goes through, None where nothing is said of it; power: of the laser [mW], None where it is not said.
+
+    Of several lasers, or one of several lines or of a line with a width, the first is ``beam`` and the others are
+    ``further``: incoherent with it, their intensities add up. light, weight: what the first is called, and its
+    intensity's factor; longest_path: path difference [mm] up to which the samples of a line stand for it; in_spot:
+    expected scatterers within the first beam's radii. Where the lasers' powers are said, fields are in proportion.
     """
 
     beam: Beam
@@ -90,12 +110,38 @@ class Assembly:
     index: float = 1.0
     camera: Camera | None = None
     power: float | None = None
+    light: str | None = field(default="laser", compare=False)
+    weight: float = 1.0
+    further: tuple[Light, ...] = ()
+    longest_path: float = np.inf
+    in_spot: float = field(default=0.0, compare=False)
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Assembly) and self._whole == other._whole
 
     def __hash__(self) -> int:
         return int(self._whole, 16)  # the same in every process, as texts' hashes are not
+
+    @property
+    def parts(self) -> tuple[Assembly, ...]:
+        """The same for the light of each laser, line and sample of a line alone; their intensities add up, weighted."""
+        if not self.further:
+            return (self,)
+        return (
+            replace(self, further=()),
+            *(
+                replace(
+                    self, beam=light.beam, elements=light.elements, index=light.index, light=light.name,
+                    weight=light.weight, further=(),
+                )
+                for light in self.further
+            ),
+        )  # fmt: skip
+
+    @property
+    def named_parts(self) -> tuple[Assembly, ...]:
+        """Those of them that are a laser's or a line's own, without the samples of a line's width."""
+        return tuple(part for part in self.parts if part.light is not None)
 
     @property
     def seed(self) -> int:

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from itertools import combinations
 
 import mitsuba as mi
 import numpy as np
 
-from ..geometry.frames import Frame
 from ..machine.memory import excess
-from ..scattering.beam import Beam
-from ..scattering.rough_surface import RoughSurface
-from .assembly import GRAZING, Assembly, Target
-from .body import Body
+from .assembly import Assembly
 from .elements import Element
 from .errors import SceneError
 from .materials import medium_around
-from .parameters import integer_of, value_of
-from .shapes import elements_of, shapes_of
+from .light import lights_of
+from .shapes import shapes_of
 
 _ON_SURFACE = 1e-9
 """Depth in a glass, relative to its size, up to which a point still counts as on its surface."""
@@ -73,7 +68,9 @@ def _detector_named(scene: mi.Scene, name: str) -> mi.Sensor:
 
 def _read(scene: mi.Scene, detectors: list[mi.Sensor], spp: int) -> list[Assembly]:
     """The assembly of each of some detectors."""
-    laser = _only(scene.emitters(), "emitter", "laser")
+    lasers = [emitter for emitter in scene.emitters() if role_of(emitter) == "laser"]
+    if not lasers:
+        raise SceneError("the scene has no <emitter type='laser'>, must have one or several")
     shape = _only(scene.shapes(), "shape", "rough_target")
     for detector in detectors:
         if role_of(detector) != "detector":
@@ -83,7 +80,7 @@ def _read(scene: mi.Scene, detectors: list[mi.Sensor], spp: int) -> list[Assembl
         found = "none" if integrator is None else integrator.class_name()
         raise SceneError(f"the scene's integrator is {found}, must be <integrator type=\"coherent\"/>")
     for emitter in scene.emitters():
-        if emitter is not laser:
+        if emitter not in lasers:
             raise SceneError(
                 f"emitter {emitter.id()!r} ({emitter.class_name()}) is not a laser: "
                 "its light would be left out, remove it"
@@ -92,13 +89,12 @@ def _read(scene: mi.Scene, detectors: list[mi.Sensor], spp: int) -> list[Assembl
         _require_memory(detector)
     shapes = shapes_of(scene, shape)
     medium = medium_around(shapes, shape)
-    beam = laser.beam()
-    elements = tuple(elements_of(shapes, shape, medium, beam.wavelength))
-    beam, target = _aim(replace(beam, wavelength=beam.wavelength / medium), shape)
+    (light, *further), target, longest_path, in_spot = lights_of(lasers, shape, shapes, medium)
+    elements = light.elements
     _require_apart(elements)
     assemblies = [
         Assembly(
-            beam=beam,
+            beam=light.beam,
             target=target,
             elements=elements,
             detector=detector.grid(),
@@ -107,7 +103,12 @@ def _read(scene: mi.Scene, detectors: list[mi.Sensor], spp: int) -> list[Assembl
             sub_pixels=_sub_pixels(spp or detector.sampler().sample_count()),
             index=medium,
             camera=detector.camera,
-            power=laser.power,
+            power=lasers[0].power,
+            light=light.name,
+            weight=light.weight,
+            further=tuple(further),
+            longest_path=longest_path,
+            in_spot=in_spot,
         )
         for detector in detectors
     ]
@@ -194,60 +195,3 @@ def _sub_pixels(samples: int) -> int:
     if samples > MAX_SUB_PIXELS:
         raise SceneError(f"{samples} sub-pixels a pixel (spp, sample_count): must be at most {MAX_SUB_PIXELS}")
     return max(1, int(np.ceil(np.sqrt(samples) - 1e-9)))
-
-
-def _aim(beam: Beam, shape: mi.Shape) -> tuple[Beam, Target]:
-    """The beam aimed at where its axis meets the target at rest, and the target with its density of scatterers."""
-    frame, facets = shape.placement.frame, shape.facets
-    spot, normal = _where_axis_meets(facets, frame, beam, shape.where, required=shape.points is None)
-    beam = beam.aimed_at(beam.origin + ((spot - beam.origin) @ beam.axis) * beam.axis)
-    if beam.is_uniform:
-        density = shape.point_sources / float(np.sum(facets.area))
-    else:
-        density = shape.point_sources * abs(float(normal @ beam.axis)) / (np.pi * beam.radius**2)
-    surface = RoughSurface(
-        facets=facets,
-        density=density,
-        roughness=value_of(shape.roughness) * 1e-3,
-        correlation_length=value_of(shape.correlation_length) * 1e-3,
-        seed=integer_of(shape.seed),
-    )
-    return beam, Target(
-        frame=frame,
-        surface=surface,
-        points=shape.points,
-        body=Body.mesh(*shape.rest_mesh),
-        lobe=_lobe(shape) if shape.lobe else None,
-        point_sources=shape.point_sources,
-        where=shape.where,
-    )
-
-
-def _lobe(shape: mi.Shape) -> dict:
-    """The target's BSDF as plain data. SceneError where the scene was loaded in a way that tells nothing of it."""
-    recipe = shape.bsdf_recipe
-    if recipe is None:
-        raise SceneError(
-            f"{shape.where}: 'lobe' needs the BSDF as the scene describes it, which is not known: load the scene with "
-            "mi.load_file, mi.load_string or mi.load_dict, the BSDF written out in it"
-        )
-    return recipe
-
-
-def _where_axis_meets(facets, frame: Frame, beam: Beam, where: str, required: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Where the beam's axis first meets the surface, else the target's plane: point and normal (3,) in the world."""
-    met = facets.first_met(frame, beam.origin, beam.axis)
-    if met is not None:
-        if met[1] @ beam.axis > 0 and required:
-            raise SceneError(
-                f"{where}: the laser lights the back of the target (its normal points away from the laser), "
-                "must light its front: turn the target, or the faces of its mesh"
-            )
-        return met
-    normal = frame.axes[:, 2]
-    slope = normal @ beam.axis
-    if abs(slope) < GRAZING:
-        if required:
-            raise SceneError(f"{where}: the laser's axis runs along the target's surface, must meet it")
-        return frame.origin, normal
-    return beam.origin + ((frame.origin - beam.origin) @ normal) / slope * beam.axis, normal

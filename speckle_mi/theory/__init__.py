@@ -17,12 +17,15 @@ from .displacement import (
     project_on_target,
     spot_displacement,
     system_displacement,
+    wavelength_displacement,
 )
 from .paraxial import CardinalPoints, cardinal_points, entrance_pupil, exit_pupil, paraxial_image, system_matrix
 from .radiometry import irradiance_per_intensity, photoelectrons, photon_energy
 from .speckle import (
     coherence_gaussian_beam,
+    coherence_gaussian_line,
     contrast_of_equal_phasors,
+    contrast_of_incoherent_patterns,
     intensity_pdf,
     shift_scatter,
     speckle_shape_gaussian_beam,
@@ -37,7 +40,9 @@ __all__ = [
     "cardinal_points",
     "centre_of_gravity_aperture",
     "coherence_gaussian_beam",
+    "coherence_gaussian_line",
     "contrast_of_equal_phasors",
+    "contrast_of_incoherent_patterns",
     "decorrelation_axial",
     "decorrelation_circular_pupil",
     "decorrelation_elliptical_beam",
@@ -59,4 +64,5 @@ __all__ = [
     "spot_displacement",
     "system_displacement",
     "system_matrix",
+    "wavelength_displacement",
 ]

@@ -141,6 +141,32 @@ def system_displacement(
     return magnification @ across @ material + lever @ tilt
 
 
+def wavelength_displacement(
+    spot: np.ndarray,
+    normal: np.ndarray,
+    source_direction: np.ndarray,
+    detector_centre: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+) -> np.ndarray:
+    """(2,) displacement [mm] along u, v of the free-space pattern per relative change of the wavelength.
+
+    The phase k (psi + |P - D|) of the scatterers has the gradient -k t (l_S + l) along the surface. In light of k', a
+    little smaller by dlambda/lambda, the same is found at D + A: t Q_O T alpha = (dlambda/lambda) t (l_S + l). The
+    pattern moves away from where light would be reflected by a mirror, in proportion to the tilt between that and the
+    detector, which is what a dual-wavelength sensor measures. Besides it is magnified about that direction.
+
+    Arguments as in `first_order_displacement`.
+    """
+    normal, to_laser = unit("normal", normal), unit("source_direction", source_direction)
+    sight = np.asarray(detector_centre, dtype=np.float64) - np.asarray(spot, dtype=np.float64)
+    distance = float(np.linalg.norm(sight))
+    sight, tangents = sight / distance, vectors_across(normal)
+    _require_view("target", sight, normal)
+    moved = tangents @ (np.eye(3) - np.outer(sight, sight)) @ detector_axes(u, v) / distance
+    return np.linalg.solve(moved, tangents @ (to_laser + sight))
+
+
 def _require_view(name: str, sight: np.ndarray, normal: np.ndarray) -> None:
     """ValueError where the line of sight lies in the plane of unit ``normal`` that is called ``name``."""
     if abs(sight @ normal) < GRAZING_COSINE:

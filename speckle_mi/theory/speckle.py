@@ -95,6 +95,30 @@ def speckle_size_gaussian_beam(
         return 2 * np.sqrt(np.log(2) / np.diag(shape))
 
 
+def coherence_gaussian_line(
+    path_difference: np.ndarray | float, wavelength: float, linewidth: float
+) -> np.ndarray:
+    """Degree of coherence |gamma| = exp(-(pi dL dlambda/lambda^2)^2/(4 ln 2)) of light whose spectrum is a Gaussian.
+
+    path_difference: dL [mm]; wavelength: lambda [mm]; linewidth: full width at half maximum dlambda [mm]. It is the
+    visibility of the fringes of two equal waves. The contrast of speckle is the root of the mean of |gamma|^2 over the
+    differences of all pairs of paths. [3]
+    """
+    width = np.pi * require_positive("linewidth", linewidth) / require_positive("wavelength", wavelength) ** 2
+    return np.exp(-((width * np.asarray(path_difference, dtype=np.float64)) ** 2) / (4 * np.log(2)))
+
+
+def contrast_of_incoherent_patterns(weights: np.ndarray) -> float:
+    """Contrast sqrt(sum w^2)/sum w of the sum of independent developed patterns of mean intensities w [3].
+
+    1/sqrt(N) of N equal ones.
+    """
+    weights = np.asarray(weights, dtype=np.float64)
+    if weights.ndim != 1 or not np.all(weights >= 0) or not weights.sum() > 0:
+        raise ValueError(f"weights {weights}: must be mean intensities, none negative and not all 0")
+    return float(np.sqrt(np.sum(weights**2)) / weights.sum())
+
+
 def shift_scatter(
     speckle_size_px: float, window_px: float, correlation: np.ndarray | float, factor: float = 0.6
 ) -> np.ndarray:
