@@ -81,7 +81,7 @@ class OneFrame:
             done()
 
     @products_on_one_thread()
-    def add(self, seed: int, lit: Scatterers | None = None) -> None:
+    def add(self, seed: int, lit: tuple[Scatterers, ...] | None = None) -> None:
         """Adds one surface. lit: its scatterers at rest, of :meth:`Simulation.lit`, where they are known."""
         began = time.perf_counter()
         flow = self._flow(seed, lit)
@@ -93,14 +93,14 @@ class OneFrame:
         self.result.seeds.append(seed)
         self.result.seconds += time.perf_counter() - began
 
-    def _flow(self, seed: int, lit: Scatterers | None) -> Flow:
+    def _flow(self, seed: int, lit: tuple[Scatterers, ...] | None) -> Flow:
         found = self.simulation.derivatives(self._pixels, seed, lit)
         rows, columns = np.divmod(self._pixels, self._grid.shape[1])
         middle = (np.array(self._grid.shape) - 1) / 2
         places = self._grid.pitch * np.stack([columns - middle[1], rows - middle[0]], axis=1)
         return Flow.of(found.field, found.by_motion, found.along, places)
 
-    def _with_enough_pixels(self, flow: Flow, seed: int, lit: Scatterers | None) -> Flow:
+    def _with_enough_pixels(self, flow: Flow, seed: int, lit: tuple[Scatterers, ...] | None) -> Flow:
         """The first surface tells how many pixels its speckles need."""
         area = self._grid.size * self._grid.pitch**2
         self.result.speckles = flow.speckles(area)
