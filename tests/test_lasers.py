@@ -12,6 +12,7 @@ from speckle_mi.experiments.expectation import expected_sensitivity
 from speckle_mi.field.simulation import Simulation, simulate_frame
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.images.exr import read_field, write_field
+from speckle_mi.machine.fingerprint import fingerprint
 from speckle_mi.measurement.correlator import Correlator
 from speckle_mi.measurement.speckle_statistics import contrast
 from speckle_mi.scattering.spectrum import line_samples, longest_path
@@ -298,3 +299,13 @@ def test_light_that_cannot_be_meant_is_refused_in_one_line(assemble, name):
 def test_a_scene_without_a_laser_says_so(assemble):
     with pytest.raises((ValueError, RuntimeError), match="no <emitter type='laser'>"):
         assemble(scene())
+
+
+def test_every_line_sees_its_own_index_of_a_glass(assemble):
+    two = laser(wavelength=None, wavelengths="488, 1064")
+    for medium, differs in (('<string name="glass" value="N-BK7"/>', True), ('<float name="ior" value="1.5"/>', False)):
+        lens = f"""<shape type="lens" id="lens"><transform name="to_world"><translate z="30"/></transform>
+            <float name="radius1" value="40"/><float name="radius2" value="-40"/><float name="thickness" value="4"/>
+            <float name="diameter" value="20"/>{medium}</shape>"""
+        first, second = assemble(scene(two, lens)).parts
+        assert (fingerprint(first.elements) != fingerprint(second.elements)) == differs
