@@ -88,7 +88,7 @@ def of_one_chief_ray(assembly):
     frame, beam = assembly.target.frame, assembly.beam
     return theory.per_degree(theory.system_displacement(
         spot.point, frame.origin, frame.axes, beam.directions_to_source(spot.point[None])[0],
-        beam.wavefront_radius_at(spot.point), sight, across, magnification, lever, spot.normal,
+        beam.wavefront_at(spot.point)[0][0], sight, across, magnification, lever, spot.normal,
     ))  # fmt: skip
 
 
