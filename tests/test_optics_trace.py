@@ -249,7 +249,7 @@ def test_sag_lies_on_the_surface(conic):
 def test_nonsense_is_refused_by_name():
     with pytest.raises(ValueError, match="orthonormal"):
         Surface(Frame(np.zeros(3), 2 * np.eye(3)))
-    with pytest.raises(ValueError, match="index 1.5 after interaction 0"):
+    with pytest.raises(ValueError, match="leaves surface 1 in a medium of index 1.5"):
         Sequence((Interaction.refract(Surface(frame()), 1.0, 1.5), plane(1.0)))
     with pytest.raises(ValueError, match="closed"):
         Interaction.reflect(Surface(frame(), 0.1, -1.5), root="near")

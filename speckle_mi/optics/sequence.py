@@ -119,8 +119,8 @@ class Sequence:
         for i, (one, two) in enumerate(zip(self.interactions, self.interactions[1:], strict=False)):
             if one.index_after != two.index_before:
                 raise ValueError(
-                    f"optical sequence: index {one.index_after} after interaction {i} "
-                    f"but {two.index_before} before interaction {i + 1}"
+                    f"optical sequence: light leaves surface {i + 1} in a medium of index {one.index_after} but comes "
+                    f"to surface {i + 2} in one of {two.index_before}, must be the same"
                 )
         rims = [
             (i, j)
