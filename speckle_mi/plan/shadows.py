@@ -239,14 +239,14 @@ class WayPart:
 
         points: (p, n, 3) of the rays.
         """
-        return shapes_beside(setup, self._touched, self._folded(setup, points), clear)
+        return shapes_beside(setup, self._touched, self.folded(setup.assembly.detector, points), clear)
 
     def unblocked(self, setup: Setup, points: np.ndarray, clear: float = 0.0) -> np.ndarray:
         """Whether each of the rays with the points (p, n, 3) is free of shapes that are not on this part, (n,).
 
         clear: distance [mm] aside of the rays at which is looked.
         """
-        return unblocked(setup, self._touched, self._folded(setup, points), clear)
+        return unblocked(setup, self._touched, self.folded(setup.assembly.detector, points), clear)
 
     def lit(
         self,
@@ -296,12 +296,12 @@ class WayPart:
         elements = (TARGET, *(number for number, *_ in self.channel.route.steps), NOTHING)
         return tuple(elements[place] for place in self.places)
 
-    def _folded(self, setup: Setup, points: np.ndarray) -> np.ndarray:
-        """Points (p, n, 3) of rays where they are in the scene."""
+    def folded(self, detector: PlaneGrid, points: np.ndarray) -> np.ndarray:
+        """Points (p, n, 3) of rays where they are in the scene, whose detector is given."""
         seen = [*(i.surface.frame for i in self.channel.interactions), detector_plane(self.channel.grid).surface.frame]
         real = [
             *(i.surface.frame for i in self.channel.route.interactions),
-            detector_plane(setup.assembly.detector).surface.frame,
+            detector_plane(detector).surface.frame,
         ]
         folded = np.array(points)
         for row, place in enumerate(self.places):

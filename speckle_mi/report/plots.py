@@ -284,6 +284,6 @@ def legend_outside(figure: Figure, *axes: Axes, columns: int, below: bool = Fals
 
 
 def write_picture(figure: Figure, path: str | os.PathLike) -> None:
-    """Writes the PNG, whole or not at all."""
+    """Writes the PNG, or the SVG where the path ends so, whole or not at all."""
     with replacing(path) as temporary:
-        figure.savefig(temporary, format="png")
+        figure.savefig(temporary, format="svg" if str(path).lower().endswith(".svg") else "png")
