@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -18,7 +19,7 @@ from ..plan.drawn_rays import drawn_rays
 from ..scattering.beam import Beam
 from ..scene.assembly import Assembly
 from ..scene.body import Body
-from ..scene.elements import Element
+from ..scene.elements import OUTSIDE, Element
 
 _ALONG_PROFILE = 61
 """Places along the section of a face."""
@@ -130,14 +131,21 @@ def _section(element: Element, axes: np.ndarray, view: int) -> tuple[Line, ...]:
         angle = np.linspace(0, 2 * np.pi, 4 * _ALONG_PROFILE)
         circle = np.outer(np.cos(angle), axes[:, 0]) + np.outer(np.sin(angle), axes[:, 1 + view])
         return (Line(centre + radius * circle, closed=element.kind == "glass"),)
+    if element.kind == "glass" and not element.edged:
+        return (_hull(_corners(element.body), axes, view),)
     profiles = [_profile(face, sight) for face in element.faces]
     if element.kind == "opening":
         return _screen(element, profiles[0])
-    if element.kind == "mirror" or len(profiles) < 2:
+    if element.kind == "mirror":
         return tuple(Line(profile) for profile in profiles)
-    first, *between, last = profiles
-    turn = -1 if np.linalg.norm(first[-1] - last[-1]) <= np.linalg.norm(first[-1] - last[0]) else 1
-    return (Line(np.concatenate([first, last[::turn]]), closed=True), *(Line(profile) for profile in between))
+    pairs = zip(pairwise(profiles), pairwise(element.sides), strict=True)
+    return tuple(_between(*faces) for faces, sides in pairs if set.intersection(*map(set, sides)) - {OUTSIDE})
+
+
+def _between(first: np.ndarray, second: np.ndarray) -> Line:
+    """The glass between the sections of two faces, (n, 3) each."""
+    turn = -1 if np.linalg.norm(first[-1] - second[-1]) <= np.linalg.norm(first[-1] - second[0]) else 1
+    return Line(np.concatenate([first, second[::turn]]), closed=True)
 
 
 def _profile(face: Surface, sight: np.ndarray) -> np.ndarray:
@@ -155,7 +163,7 @@ def _profile(face: Surface, sight: np.ndarray) -> np.ndarray:
         inside = np.flatnonzero(np.all(face.outline.margins(x, y) >= 0, axis=0))
         some = np.linspace(inside[0], inside[-1], _ALONG_PROFILE).round().astype(int)
         x, y = x[some], y[some]
-    return face.frame.to_world(np.stack([x, y, face.sag(x * x + y * y)], axis=1))
+    return face.frame.to_world(np.stack([x, y, face.sag(x, y)], axis=1))
 
 
 def _screen(element: Element, hole: np.ndarray) -> tuple[Line, ...]:
@@ -199,12 +207,13 @@ def _beam(beam: Beam, spot: np.ndarray, axes: np.ndarray, size: float) -> tuple[
     along = np.linspace(-length, 0, _BEAM_STEPS)
     middle = spot + along[:, None] * beam.axis
     lines = [Line(middle)]
-    if np.isfinite(beam.radius):
-        widths = np.array([beam.radius_at(point) for point in middle])[:, None]
+    if not beam.is_uniform:
+        radii = np.array([beam.radii_at(point) for point in middle])
         for view in (0, 1):
             across = np.cross(axes[:, 2 - view], beam.axis)
             if np.linalg.norm(across) > _FACE_ON:
                 across = across / np.linalg.norm(across)
+                widths = np.linalg.norm(radii * (beam.across @ across), axis=1)[:, None]
                 lines += [Line(middle + sign * widths * across) for sign in (-1, 1)]
     return tuple(lines), middle[0] - 0.02 * size * beam.axis
 
@@ -213,7 +222,8 @@ def _facts(assembly: Assembly, assemblies: Mapping[str, Assembly], spot, rays) -
     """What is worth knowing in numbers."""
     beam = assembly.beam
     cosine = float(np.clip(-beam.axis @ spot.normal, -1, 1))
-    width = "uniform" if np.isinf(beam.radius) else f"radius {beam.radius_at(spot.point):.4g} mm"
+    radii = " x ".join(dict.fromkeys(f"{radius:.4g}" for radius in beam.radii_at(spot.point)))
+    width = "uniform" if beam.is_uniform else f"radius {radii} mm"
     facts = [
         ("laser", f"{1e6 * assembly.vacuum_wavelength:.5g} nm, {width}, {_degrees(cosine)} from the target's normal"),
     ]
