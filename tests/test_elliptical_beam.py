@@ -358,3 +358,22 @@ def test_pattern_decorrelates_faster_along_the_narrow_axis(assemble):
     error = measured.std(axis=0, ddof=1) / np.sqrt(surfaces)
     assert error.max() < DECORRELATION_ERROR / 2, error
     np.testing.assert_allclose(measured.mean(axis=0), expected, atol=DECORRELATION_ERROR)
+
+
+def test_diode_triangulation_reads_height_by_the_image_of_its_line(shipped):
+    assembly = shipped("diode_triangulation")
+    expected = expected_sensitivity(assembly)
+    # M sin(a), of a lens that images in its own size: its thickness and aberrations leave a hundredth.
+    assert abs(expected["cog_u"][2]) == pytest.approx(np.sin(np.radians(35)), rel=0.02)
+    frame = simulate_frame(shipped("diode_triangulation", width=64, height=64, pixel_pitch=0.02))
+    image = frame.image.intensity.astype(np.float64)
+    place = np.arange(64) * 0.02
+    sizes = []
+    for axis in (0, 1):
+        profile = image.sum(axis=axis)
+        # Of a Gaussian of radius w half the light lies within 0.6745 w/2; an Airy pattern's tails do not count so.
+        low, high = np.interp([0.25, 0.75], np.cumsum(profile) / profile.sum(), place)
+        sizes.append((high - low) / 0.6745)
+    # Radii of the image: the footprint, foreshortened along u, and speckled.
+    assert sizes[0] == pytest.approx(0.08 * np.cos(np.radians(35)), rel=0.25)
+    assert sizes[1] == pytest.approx(0.32, rel=0.2)

@@ -309,3 +309,30 @@ def test_every_line_sees_its_own_index_of_a_glass(assemble):
             <float name="diameter" value="20"/>{medium}</shape>"""
         first, second = assemble(scene(two, lens)).parts
         assert (fingerprint(first.elements) != fingerprint(second.elements)) == differs
+
+
+SECOND_ORDER = 5e-4  # [mm]: patterns of 150 mm distance are magnified, and roughness dephases them, by parts in 10^3.
+
+
+def test_dual_wavelength_sensor_tells_tilt_from_the_distance_of_its_two_patterns(shipped):
+    """2 D dl/l a rad of ry along u, 2 D dl/l cos(a) of rx along v, and nothing when the surface is level."""
+    assembly = shipped("dual_wavelength", width=256, height=256, pixel_pitch=0.012)
+    grid, relative = assembly.detector, 5 / 787.5
+    across = theory.wavelength_displacement(
+        assembly.spot.point, assembly.spot.normal, -assembly.beam.axis, grid.centre, grid.u, grid.v
+    )
+    np.testing.assert_allclose(across, 0, atol=1e-9)
+    for pose, expected in (
+        (Pose(), (0.0, 0.0)), (Pose(ry=0.5), (2 * 150 * relative * np.radians(0.5), 0.0)),
+        (Pose(rx=0.5), (0.0, 2 * 150 * relative * np.radians(0.5) * np.cos(np.radians(25)))),
+    ):  # fmt: skip
+        found = []
+        for seed in range(6):
+            layers = simulate_frame(assembly, pose, seed=seed).image.layers
+            first, second = (np.abs(layers[name]) ** 2 for name in ("laser.E", "laser.line2.E"))
+            shift = Correlator(first).shift(second)
+            found.append(np.array([shift.u_px, shift.v_px]) * grid.pitch)
+        error = np.std(found, axis=0, ddof=1) / np.sqrt(len(found))
+        assert error.max() < 1.5e-3  # [mm], a twelfth of the shift
+        difference = np.abs(np.abs(np.mean(found, axis=0)) - expected)
+        assert np.all(difference <= STANDARD_ERRORS * error + SECOND_ORDER), (pose, found)

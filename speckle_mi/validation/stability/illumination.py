@@ -33,6 +33,17 @@ def wavefronts(quick: bool):
         yield same_field("wavefront", name, assembly.beam.field(points), exact_laser(assembly.beam, points), 1e-9)
         bench = Bench(laser=laser)
         yield same_field("wavefront", f"field, wavefront radius {radius:g} mm", *against_exact_sum(bench), TOLERANCE)
+    for radii, bends in (((0.02, 0.3), (-750.0, 90.0)), ((0.05, 0.05), (0.2, -0.2)), ((np.inf, np.inf), (0.3, -0.2))):
+        laser = {"beam_radius": None, "wavefront_radius": None}
+        laser |= {f"beam_radius_{axis}": radius for axis, radius in zip("xy", radii, strict=True)}
+        laser |= {f"wavefront_radius_{axis}": radius for axis, radius in zip("xy", bends, strict=True)}
+        bench = Bench(laser=laser)
+        assembly = bench.assembly()
+        name = f"beam radii {radii[0]:g}, {radii[1]:g} mm, wavefronts {bends[0]:g}, {bends[1]:g} mm"
+        points = assembly.spot.point + random.uniform(-0.3, 0.3, (2000, 3))
+        exact = exact_laser(assembly.beam, points)
+        yield same_field("wavefront", f"laser's field, {name}", assembly.beam.field(points), exact, 1e-9)
+        yield same_field("wavefront", f"field, {name}", *against_exact_sum(bench), TOLERANCE)
     yield declined(
         "wavefront", "wavefront radius 0", Bench(laser={"wavefront_radius": 0.0}).assembly, "wavefront_radius", "inf"
     )
