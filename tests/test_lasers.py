@@ -9,6 +9,7 @@ from scene_builder import WORLD, detector_frame, detector_xml, direction, frame_
 
 from speckle_mi import theory
 from speckle_mi.experiments.expectation import expected_sensitivity
+from speckle_mi.experiments.one_frame import OneFrame
 from speckle_mi.field.simulation import Simulation, simulate_frame
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.images.exr import read_field, write_field
@@ -27,9 +28,9 @@ def laser(id="laser", to_laser=direction(35, 180), **values):
     return laser_xml(place, **{"wavelength": 632.8, "beam_radius": 0.2, "wavefront_radius": None} | values | {"id": id})
 
 
-def scene(*lasers, target=None, detector=None, sight=direction(0), distance=60.0):
+def scene(*lasers, target=None, detector=None, sight=direction(0), distance=60.0, integrator=None):
     return scene_of(
-        integrator_xml(), *lasers, target_xml(WORLD, **{"point_sources": 100} | (target or {})),
+        integrator_xml(**(integrator or {})), *lasers, target_xml(WORLD, **{"point_sources": 100} | (target or {})),
         detector_xml(detector_frame(sight, distance), **{"width": 48, "height": 40, "pixel_pitch": 0.02} | (detector or {})),
     )  # fmt: skip
 
@@ -231,9 +232,32 @@ def test_theory_of_several_lines_is_what_they_have_in_common(assemble):
     assert differing["u"] is None
 
 
-def test_one_frames_derivatives_refuse_incoherent_light(assemble):
-    with pytest.raises(ValueError, match="2 lasers.*sweep"):
-        Simulation(assemble(scene(*TWO))).derivatives(np.arange(4))
+def test_derivatives_of_incoherent_light_are_those_of_its_whole_intensity(assemble):
+    """Against the intensities of frames on either side, for every motion."""
+    assembly = assemble(scene(laser("left", linewidth=0.5, spectral_samples=3), TWO[1], integrator={"tolerance": 1e-7}))
+    pixels = np.arange(0, 48 * 40, 37)
+    found = Simulation(assembly).derivatives(pixels)
+    rates = 2 * np.sum((found.field.conj()[:, None] * found.by_motion).real, axis=0)
+    for dof, step, unit in (("x", 1e-4, 1.0), ("z", 1e-4, 1.0), ("ry", 2e-4, np.pi / 180)):
+        rate = rates[["x", "y", "z", "rx", "ry", "rz"].index(dof)] * unit
+        ends = [simulate_frame(assembly, Pose(**{dof: s * step})).image.intensity.ravel()[pixels] for s in (1, -1)]
+        difference = (ends[0].astype(np.float64) - ends[1]) / (2 * step)
+        # Second differences of single-precision intensities over steps of some hundredths of a speckle.
+        np.testing.assert_allclose(difference, rate, rtol=0, atol=0.02 * np.abs(rate).max(), err_msg=dof)
+
+
+def test_one_frame_measures_what_a_sweep_of_two_lasers_sees(assemble):
+    detector = {"width": 160, "height": 160, "pixel_pitch": 0.016}
+    two = laser(wavelength=None, wavelengths="632.8, 780"), laser("other", direction(35, 180), wavelength=700.0)
+    assembly = assemble(scene(*two, detector=detector, target={"point_sources": 60}))
+    found, expected = [], expected_sensitivity(assembly)
+    for seed in range(6):
+        one = OneFrame(Simulation(assembly))
+        one.measure([seed])
+        found.append(one.result.linear[0].value[:, 0])
+    mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(6)
+    theirs = expected["u"] * np.array([1, 1, 1, *[180 / np.pi] * 3])
+    assert np.all(np.abs(mean - theirs) <= np.maximum(STANDARD_ERRORS * error, 0.01 * np.abs(theirs))), (mean, theirs)
 
 
 def test_moved_targets_are_lit_by_every_laser_where_they_are(assemble):

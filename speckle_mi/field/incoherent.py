@@ -11,6 +11,7 @@ from ..plan.cost import Cost
 from ..plan.stage import INCOHERENT, Stage
 from ..scattering.rough_surface import Scatterers
 from ..scene.assembly import Assembly
+from .derivatives import DerivativeFields
 from .frame import LightOnDetector
 
 _HELD = 20
@@ -53,6 +54,16 @@ def by_photons(whole: LightOnDetector, parts: Sequence[LightOnDetector]) -> np.n
         return whole.intensity
     photons = sum(scale * part.intensity.astype(np.float64) for scale, part in zip(scales, parts, strict=True))
     return photons.astype(np.float32)
+
+
+def stacked(parts: Sequence[DerivativeFields], weights: Sequence[float]) -> DerivativeFields:
+    """Fields and derivatives of all light, along a first axis, scaled so that their intensities add up."""
+    roots = np.sqrt(weights)
+    arrays = (
+        np.array([root * getattr(part, name) for root, part in zip(roots, parts, strict=True)])
+        for name in ("field", "by_motion", "along")
+    )
+    return DerivativeFields(*arrays, max(part.error for part in parts))
 
 
 def named(parts: Sequence[LightOnDetector]) -> tuple[LightOnDetector, ...]:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..errors import InputError
 from ..geometry.plane import PlaneGrid
 from ..geometry.pose import Pose
 from ..images.field_image import FieldImage
@@ -29,7 +28,7 @@ from ..scene.assembly import Assembly, Options
 from .derivatives import DerivativeFields, derivative_fields
 from .exposure import picture_of
 from .frame import FrameResult, LightOnDetector, header_of
-from .incoherent import added_up, by_photons, layers_of, named, together, too_few_samples
+from .incoherent import added_up, by_photons, layers_of, named, stacked, together, too_few_samples
 from .lobe import Lobe
 from .stages import ChannelField, channel_field, ray_channel
 
@@ -159,17 +158,21 @@ class Simulation:
         """The field on some pixels with its derivatives by the target's motions from rest and along u and v.
 
         pixels: (m,) flat indices of the detector, row by row; seed: which surface (default: the scene's); lit:
-        what :meth:`lit` gives at rest, where it is known. Raises SceneError as :meth:`frame`, InputError for ``rays``
-        and for incoherent light, whose intensity is not one field's.
+        what :meth:`lit` gives at rest, where it is known. Of several lasers, lines or samples of a line all arrays have
+        a first axis for these, whose intensities add up: fields are scaled by the roots of their weights. Raises
+        SceneError as :meth:`frame`, InputError for ``rays``.
         """
-        if self._further:
-            raise InputError(
-                f"the light of {1 + len(self._further)} lasers, lines or samples of a line adds up incoherently, which "
-                "one frame's derivatives do not know: sweep the target, or leave one laser of one wavelength"
-            )
+        lit = lit or (None,) * (1 + len(self._further))
+        found = [one._rates(pixels, seed, own) for one, own in zip((self, *self._further), lit, strict=True)]
+        if not self._further:
+            return found[0]
+        return stacked(found, [one.assembly.weight for one in (self, *self._further)])
+
+    def _rates(self, pixels: np.ndarray, seed: int | None, lit: Scatterers | None) -> DerivativeFields:
+        """The derivatives of the first light alone."""
         setup = self._setup(self._surface(seed), Pose(), None)
         plan = self._plan(setup)
-        scatterers = _visible(setup, _illuminated(setup) if lit is None else lit[0], plan, [])
+        scatterers = _visible(setup, _illuminated(setup) if lit is None else lit, plan, [])
         return derivative_fields(setup, plan, scatterers, pixels, self._radiation())
 
     def _surface(self, seed: int | None) -> Assembly:

@@ -64,13 +64,18 @@ class Flow:
     def of(cls, field: np.ndarray, by_motion: np.ndarray, along: np.ndarray, places: np.ndarray) -> Flow:
         """From the field (m,) and its derivatives by k motions (k, m) and along u and v (2, m) [1/mm], complex.
 
-        places: (m, 2), spread evenly over the detector. Raises InputError where all are dark.
+        places: (m, 2), spread evenly over the detector. Of several fields that do not interfere, whose intensities add
+        up, each array has them along its first axis. Raises InputError where all are dark.
         """
-        intensity = np.abs(field) ** 2
+        field = np.atleast_2d(field)
+        by_motion, along = (values.reshape(len(field), -1, field.shape[1]) for values in (by_motion, along))
+        intensity = np.sum(np.abs(field) ** 2, axis=0)
         mean = float(intensity.mean())
         if not mean > 0:
             raise InputError("no light reaches the detector: a dark pattern has no velocity")
-        slopes, change = (2 / mean * (field.conj() * values).real for values in (along, by_motion))
+        slopes, change = (
+            2 / mean * np.sum((field.conj()[:, None] * values).real, axis=0) for values in (along, by_motion)
+        )
         return cls(intensity / mean, slopes, change, np.asarray(places, dtype=np.float64))
 
     @property
