@@ -51,7 +51,8 @@ Laser (:monosp:`laser`)
    - |exposed|
  * - power
    - |float|
-   - Power of the beam [mW], from which a detector's ``exposure`` makes electrons. (Default: not said)
+   - Power of the beam [mW], of all its lines together, from which a detector's ``exposure`` makes electrons. Of several
+     lasers all or none say it. (Default: not said)
    -
 
 A coherent Gaussian beam. Its light reaches the target unobstructed: it is not traced through the elements between
@@ -75,7 +76,10 @@ Light of different wavelengths and of different lasers is incoherent: the detect
 of it lights the same scatterers, which lie as densely as the light asks for that needs them most densely. Every field
 stands in the image's file: ``E.re``, ``E.im`` are those of the first laser's first line; of several lasers or lines
 each laser has a layer ``<id>.E`` as well, and a further line number n of it ``<id>.line<n>.E``. The lines of a laser
-share its power by their ``weights``, which are in their fields.
+share its power by their ``weights``, which are in their fields. Where the lasers' powers are said, all fields are in
+proportion to the roots of what falls on a unit of the surface, in the unit in which the first laser's is that of its
+beam alone; otherwise each has its own unit, the same amplitude in the middle of its spot. A camera counts photons: of
+light of twice the wavelength twice as many.
 
 A line with a ``linewidth`` is summed at ``spectral_samples`` wavelengths evenly spaced in wavenumber, which takes as
 many times as long as one; the field written is that of its middle. Where paths differ by dL, its light is coherent by

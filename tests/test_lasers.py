@@ -11,6 +11,7 @@ from speckle_mi import theory
 from speckle_mi.experiments.expectation import expected_sensitivity
 from speckle_mi.experiments.one_frame import OneFrame
 from speckle_mi.field.simulation import Simulation, simulate_frame
+from speckle_mi.field.sources import write_sources
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.images.exr import read_field, write_field
 from speckle_mi.machine.fingerprint import fingerprint
@@ -360,3 +361,19 @@ def test_dual_wavelength_sensor_tells_tilt_from_the_distance_of_its_two_patterns
         assert error.max() < 1.5e-3  # [mm], a twelfth of the shift
         difference = np.abs(np.abs(np.mean(found, axis=0)) - expected)
         assert np.all(difference <= STANDARD_ERRORS * error + SECOND_ORDER), (pose, found)
+
+
+def test_sources_of_every_laser_make_its_field(assemble, tmp_path):
+    assembly = assemble(scene(*TWO, detector={"width": 6, "height": 5, "pixel_pitch": 0.1}))
+    frame, path = simulate_frame(assembly), tmp_path / "f.npz"
+    write_sources(path, assembly, frame.scatterers, parts=frame.parts)
+    with np.load(path) as written:
+        for layer, suffix in (("left.E", ""), ("right.E", ".right")):
+            position, amplitude, wavelength = (written[name + suffix] for name in ("position", "amplitude", "wavelength"))
+            row, column = 3, 4
+            pixel = written["pixel_origin"] + column * written["pitch"] * written["u"] + row * written["pitch"] * written["v"]
+            r = np.linalg.norm(pixel - position, axis=1)
+            exact = np.sum(amplitude * np.exp(2j * np.pi * r / wavelength) / r)
+            field = frame.image.layers[layer]
+            # The tolerance of the sum, and paths of 10^5 wavelengths in double precision.
+            assert abs(field[row, column] - exact) < 1e-3 * np.abs(field).max()
