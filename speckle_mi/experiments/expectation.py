@@ -17,6 +17,8 @@ from ..plan.plan import Plan
 from ..plan.way import Channel
 from ..scene.assembly import Assembly
 from .chief_ray import SeenAxes, axes_as_seen, launch_to, opening_middle
+from .diffracted_pattern import beside_rays
+from .lit_surface import LitSurface
 from .ray_bundle import STEP, RayBundle
 
 PATTERN_AXES = ("u", "v", "x", "y")
@@ -142,9 +144,14 @@ def _pattern_displacement(assembly: Assembly, channel: Channel) -> np.ndarray | 
     launch = launch_to(channel, assembly.spot.point[None], opening_middle(channel))
     if launch is None:
         return None
-    end, grid = detector_plane(channel.grid), channel.grid
-    bundle = RayBundle(assembly, channel.interactions, channel.rims, end, grid, launch[0])
-    return bundle.displacement(at_middle=not channel.openings)
+
+    def bundle_of(surface: LitSurface) -> RayBundle:
+        end = detector_plane(channel.grid)
+        return RayBundle(assembly, channel.interactions, channel.rims, end, channel.grid, launch[0], surface)
+
+    rays = bundle_of(LitSurface.of(assembly)).displacement(at_middle=not channel.openings)
+    diffraction = None if rays is None else beside_rays(assembly, channel, bundle_of)
+    return rays if diffraction is None else rays + diffraction
 
 
 def _at_opening(assembly: Assembly, channel: Channel) -> np.ndarray | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,7 +30,8 @@ class LitSurface:
     point, normal: (3,) middle of the spot [mm] and unit normal; tangents: (2, 3); metric: (2, 2), p^T metric p is the
     square of the distance from the middle in spot radii [1/mm^2], p along the tangents; patch: the square of what is
     beyond the sides of a patch, each half of them 1, as (2, 2) and its middle (2,), None where it has none; beam: whose
-    light is on it, None where a Gaussian spot of the metric stands for it.
+    light is on it, None where a Gaussian spot of the metric stands for it; fading: (2, 2) as the metric, of the light
+    alone, that material moves through.
     """
 
     point: np.ndarray
@@ -39,6 +40,7 @@ class LitSurface:
     metric: np.ndarray
     patch: tuple[np.ndarray, np.ndarray] | None
     beam: Beam | None
+    fading: np.ndarray
 
     @classmethod
     def of(cls, assembly: Assembly) -> LitSurface:
@@ -49,13 +51,18 @@ class LitSurface:
             offset = (target.frame.to_world(target.points.points) - spot.point) @ tangents.T
             spread = offset.T @ offset / len(offset)
             least = _LEAST**2 + 1e-3 * float(np.trace(spread))
-            return cls(spot.point, spot.normal, tangents, np.linalg.inv(4 * spread + least * np.eye(2)), None, None)
+            metric = np.linalg.inv(4 * spread + least * np.eye(2))
+            return cls(spot.point, spot.normal, tangents, metric, None, None, np.zeros((2, 2)))
         metric, patch = _beam_metric(beam, spot.point, tangents), _patch(assembly, tangents)
         if patch is not None:
-            return cls(spot.point, spot.normal, tangents, metric + patch[0].T @ patch[0], patch, beam)
+            return cls(spot.point, spot.normal, tangents, metric + patch[0].T @ patch[0], patch, beam, metric)
         if metric.trace() < 4 * _WIDEST**-2:
-            return cls(spot.point, spot.normal, tangents, np.eye(2) / _LEAST**2, None, None)
-        return cls(spot.point, spot.normal, tangents, metric, None, beam)
+            return cls(spot.point, spot.normal, tangents, np.eye(2) / _LEAST**2, None, None, np.zeros((2, 2)))
+        return cls(spot.point, spot.normal, tangents, metric, None, beam, metric)
+
+    def shrunk(self, share: float) -> LitSurface:
+        """A Gaussian spot of so much of the radius."""
+        return replace(self, metric=self.metric / share**2, fading=self.fading / share**2, patch=None, beam=None)
 
     def points(self, along: np.ndarray) -> np.ndarray:
         """World points (..., 3) at coordinates (..., 2) along the tangents."""
@@ -100,6 +107,12 @@ def _patch(assembly: Assembly, tangents: np.ndarray) -> tuple[np.ndarray, np.nda
     return (sides, middle) if np.all(np.abs(middle) <= 1) else None
 
 
+def path_motions(assembly: Assembly, points: np.ndarray) -> np.ndarray:
+    """(n, 6, 3) displacement of points (n, 3) on the target at rest per unit of its motions [mm/mm, mm/rad]."""
+    motions = (Motion.of(dof, assembly.target.frame) for dof in DEGREES_OF_FREEDOM)
+    return np.stack([motion.velocity(points) for motion in motions], axis=1)
+
+
 def path_changes(assembly: Assembly, points: np.ndarray, launch: np.ndarray) -> np.ndarray:
     """(n, 6) rates (grad psi + grad_P V).a at which the target's motions change the paths of rays [mm/mm, mm/rad].
 
@@ -110,5 +123,4 @@ def path_changes(assembly: Assembly, points: np.ndarray, launch: np.ndarray) -> 
     steps = STEP * np.concatenate([np.eye(3), -np.eye(3)])
     phase = beam.log_field((points + steps[:, None]).reshape(-1, 3)).imag.reshape(6, -1) / beam.wavenumber
     gradient = ((phase[:3] - phase[3:]) / (2 * STEP)).T - launch
-    motions = (Motion.of(dof, assembly.target.frame) for dof in DEGREES_OF_FREEDOM)
-    return np.stack([np.sum(gradient * motion.velocity(points), axis=1) for motion in motions], axis=1)
+    return np.einsum("nqk,nk->nq", path_motions(assembly, points), gradient)

@@ -10,6 +10,7 @@ pass. The rays themselves are exact.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -38,10 +39,13 @@ _RAYS, _PLACES = 15, 5
 """Rays along each of two directions of a bundle, and places along each side of what is lit of the detector. They weigh
 the rays, on which the displacement depends as far as the optics has aberrations."""
 
+_DIM = 0.03
+"""Power relative to the largest below which a place is left out, which counts by its square."""
+
 _FARTHEST = 1e3
 """Step [mm on the detector] beyond which a ray is given up."""
 
-_ITERATIONS, _HIT = 12, 1e-9
+_ITERATIONS, _HIT = 12, 1e-7
 """Steps of Newton's method at most, and distance [mm] from a place that counts as hit."""
 
 
@@ -63,12 +67,12 @@ class RayBundle:
 
     def __init__(
         self, assembly: Assembly, interactions: tuple[Interaction, ...], rims: tuple[Rim, ...], end: Interaction,
-        grid: PlaneGrid, sight: np.ndarray,
+        grid: PlaneGrid, sight: np.ndarray, surface: LitSurface | None = None,
     ) -> None:  # fmt: skip
         """interactions: of the way before the plane ``end``, with rims among them; grid: axes, middle and extent of
         what is looked at in that plane; sight: (3,) unit direction of a ray from the spot through the first opening's
-        middle, or to the grid's."""
-        self._assembly, self._surface = assembly, LitSurface.of(assembly)
+        middle, or to the grid's; surface: what is lit, the assembly's own unless given."""
+        self._assembly, self._surface = assembly, surface or LitSurface.of(assembly)
         self._sequence = Sequence((*interactions, end))
         self._rims = [(rim.number, rim.plane.outline) for rim in rims]
         self._grid, self._plane = grid, np.stack([grid.u, grid.v], axis=1)
@@ -84,7 +88,7 @@ class RayBundle:
         if not self._regular:
             return None
         about, places = (np.zeros(2), np.zeros((1, 2))) if at_middle else self._lit_places()
-        rays, weights = self._rays_to(places)
+        rays, weights = self._rays_to(places) if at_middle else self._to_light
         count = len(places)
         slopes = self._sequence.last.index_before * (rays.arrival @ self._plane)
         changes = path_changes(self._assembly, rays.start, rays.launch)
@@ -93,6 +97,26 @@ class RayBundle:
             for of_rays in (slopes, changes)
         )
         return bundle_displacement(slopes, changes, weights, places - about)
+
+    @cached_property
+    def _to_light(self) -> tuple[_Traced, np.ndarray]:
+        """Rays to the places of the light on the detector, and their powers."""
+        return self._rays_to(self._lit_places()[1])
+
+    def lit_places(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Where the pattern is told (2,), places (m, 2) all over the light on the detector and, as offsets (m, 2) along
+        the surface's tangents, from where their light comes [mm]; None where rays are not found."""
+        if not self._regular:
+            return None
+        about, places = self._lit_places()
+        rays, weights = self._to_light
+        power = weights.sum(axis=1)
+        lit = power > _DIM * power.max(initial=0.0)
+        if not np.any(lit):
+            return None
+        starts = np.where(rays.free[:, None], (rays.start - self._surface.point) @ self._surface.tangents.T, 0.0)
+        offsets = np.einsum("mn,mni->mi", weights, starts.reshape(len(places), -1, 2))[lit] / power[lit, None]
+        return about, places[lit], offsets
 
     def _trace(self, states: np.ndarray) -> _Traced:
         """Rays of states (n, 4): coordinates along the surface's tangents [mm], slopes across the chief ray."""

@@ -41,21 +41,30 @@ def bundle_displacement(
     if not np.any(lit):
         return None
     share = weights[lit] / power[lit, None]
-    importance = power[lit] ** 2 / np.sum(power[lit] ** 2)
     slopes, changes = (_less_mean(values[lit], share) for values in (slopes, changes))
-    if places is not None and lit.sum() >= 3:
+    by_slopes = np.einsum("mn,mni,mnj->mij", share, slopes, slopes)
+    by_changes = np.einsum("mn,mni,mnk->mik", share, slopes, changes)
+    return displacement_of_covariances(by_slopes, by_changes, power[lit], None if places is None else places[lit])
+
+
+def displacement_of_covariances(
+    by_slopes: np.ndarray, by_changes: np.ndarray, power: np.ndarray, places: np.ndarray | None = None
+) -> np.ndarray | None:
+    """The same from what :func:`bundle_displacement` takes of the rays that meet at m places.
+
+    by_slopes: (m, 2, 2) covariance of the slopes; by_changes: (m, 2, k) of slopes and changes; power: (m,), above 0.
+    """
+    importance, count = power**2 / np.sum(power**2), len(power)
+    powers = np.ones((count, 1))
+    if places is not None and count >= 3:
         scale = max(float(np.abs(places).max()), 1e-300)
-        powers = np.column_stack([np.ones(lit.sum()), places[lit] / scale])
-    else:
-        powers = np.ones((lit.sum(), 1))
-    count = powers.shape[1]
-    terms = (slopes[..., :, None] * powers[:, None, None, :]).reshape(*slopes.shape[:2], 2 * count)
-    weight = importance[:, None] * share
-    normal = np.einsum("mn,mni,mnj->ij", weight, terms, terms)
+        powers = np.column_stack([powers, places / scale])
+    size = powers.shape[1]
+    normal = np.einsum("m,mij,ma,mb->iajb", importance, by_slopes, powers, powers).reshape(2 * size, 2 * size)
     if not np.trace(normal) > 0:
         return None
-    right = np.einsum("mn,mni,mnk->ik", weight, terms, changes)
-    return -(np.linalg.pinv(normal, hermitian=True) @ right)[[0, count]]
+    right = np.einsum("m,mik,ma->iak", importance, by_changes, powers).reshape(2 * size, -1)
+    return -(np.linalg.pinv(normal, hermitian=True) @ right)[[0, size]]
 
 
 def _less_mean(values: np.ndarray, share: np.ndarray) -> np.ndarray:
