@@ -62,11 +62,26 @@ def _fill(props: mi.Properties, lens: LensFile) -> None:
         props[f"conic{number}"] = surface.conic
         if any(surface.aspheric):
             props[f"aspheric{number}"] = ", ".join(map(repr, surface.aspheric))
+        if surface.form != "rotational":
+            props[f"form{number}"] = surface.form
         if thickness is not None:
             props[f"thickness{number}"] = thickness
-        if "diameter" in props or f"diameter{number}" in props:
-            continue
-        half = surface.clear or surface.semi_diameter
-        if not half > 0:
-            raise ValueError(f"surface {surface.number} has no semi-diameter (DIAM), must have one: give 'diameter'")
-        props[f"diameter{number}"] = 2 * half
+    _fill_diameters(props, lens)
+
+
+def _fill_diameters(props: mi.Properties, lens: LensFile) -> None:
+    """Diameters of a file; those of a cylinder lens, whose edge is not level, are the least of all."""
+    if "diameter" in props:
+        return
+    halves = {number: one.clear or one.semi_diameter for number, one in enumerate(lens.surfaces, start=1)}
+    for number, half in halves.items():
+        if not half > 0 and f"diameter{number}" not in props:
+            raise ValueError(
+                f"surface {lens.surfaces[number - 1].number} has no semi-diameter (DIAM), must: give 'diameter'"
+            )
+    if len(set(halves.values())) == 1 or any(one.form != "rotational" for one in lens.surfaces):
+        props["diameter"] = 2 * min(halves.values())
+        return
+    for number, half in halves.items():
+        if f"diameter{number}" not in props:
+            props[f"diameter{number}"] = 2 * half

@@ -15,9 +15,12 @@ from speckle_mi.scene.parameters import describe, read_text
 MOST_SURFACES = 40
 """Surfaces of one lens: more are a mistake."""
 
-_OF_SURFACES = ("radius", "conic", "aspheric", "diameter")
+_OF_SURFACES = ("radius", "conic", "aspheric", "form", "diameter")
 _OF_MEDIA = ("thickness", "ior", "glass")
 _NUMBERED = re.compile(rf"({'|'.join((*_OF_SURFACES, *_OF_MEDIA))})([1-9]\d*)")
+
+ROTATIONAL = "rotational"
+FORMS = (ROTATIONAL, "cylinder_x", "cylinder_y")
 
 LENGTH = {"at_least": 1e-6, "at_most": 1e5, "unit": "mm"}
 CONIC = {"at_least": -1e4, "at_most": 1e4}
@@ -62,6 +65,27 @@ class LensNumbers:
                 self.glasses[number] = glass
             elif number not in known:
                 self._take(index, INDEX)
+
+    @property
+    def all(self) -> range:
+        """Numbers of the surfaces."""
+        return range(1, self.surfaces + 1)
+
+    def check_forms(self, forms: list[str], aspheric: list[tuple[float, ...]]) -> None:
+        """SceneError for a cylinder with aspheric coefficients, or in a lens of several diameters."""
+        for number, form in enumerate(forms, start=1):
+            if form == ROTATIONAL:
+                continue
+            if aspheric[number - 1]:
+                raise SceneError(
+                    f"{self._where}: has 'form{number}' = {form!r} and 'aspheric{number}', must have one of them: an "
+                    "asphere is rotational"
+                )
+            if len({self.diameter(one) for one in self.all}) > 1:
+                raise SceneError(
+                    f"{self._where}: 'form{number}' is {form!r} and the surfaces have diameters of their own, must "
+                    "have one 'diameter': the edge of a cylinder is not level"
+                )
 
     def of_medium(self, kind: str, number: int) -> str:
         """Name of the thickness or index between surface ``number`` and the next."""

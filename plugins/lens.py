@@ -22,7 +22,11 @@ Lens (:monosp:`lens`)
    - |exposed|
  * - aspheric1, ..., asphericN
    - |string|
-   - Coefficients of r^4, r^6, ... of a surface [mm^-3, mm^-5, ...], up to ten between commas. (Default: none)
+   - Coefficients of r^4, r^6, ... [mm^-3, mm^-5, ...], at most ten, with commas. (Default: none)
+   -
+ * - form1, ..., formN
+   - |string|
+   - ``rotational``, ``cylinder_x`` (curved along the local x only) or ``cylinder_y``. (Default: rotational)
    -
  * - thickness1, ..., thicknessN-1
    - |float|
@@ -57,18 +61,17 @@ Lens (:monosp:`lens`)
      and its ``ext_ior`` says what everything stands in. (Default: a smooth dielectric of this index)
    -
 
-Surfaces of revolution on one axis, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + a_1 r^4 + a_2 r^6 + ...` from
-each vertex, with a medium
-between each and the next: a singlet, a cemented doublet or triplet, an air-spaced group in its barrel. It stands in
-air, or in the ``ext_ior`` of the scene's dielectrics where that is another medium.
+Surfaces on one axis, :math:`z = c r^2 / (1 + \sqrt{1 - (1 + k) c^2 r^2}) + a_1 r^4 + a_2 r^6 + ...` from each vertex,
+with a medium between each and the next: a singlet, a cemented group, an air-spaced one in its barrel. It stands in air,
+or in the ``ext_ior`` of the scene's dielectrics where that is another medium.
 
 Glasses by name have their makers' dispersion formulas, from the data of refractiveindex.info: indices relative to air
 at 20 C and 1 atm. A name that several makers use wants the maker's before it; one that nobody uses is refused with
 those that are near. The formula is taken at the wavelength as the laser gives it.
 
-A file's surfaces in or at glass are the lens: standard ones and even aspheres, glasses by name or by index and Abbe's
-number, clear (CLAP, else DIAM) semi-diameters. What cannot be expressed is refused by the surface's number and type;
-what does not count (coatings, surfaces in air, a stop of its own) is left out, which the plan says.
+A file's surfaces in or at glass are the lens: standard ones, even aspheres, cylinders; glasses by name or by index and
+Abbe's number; clear semi-diameters (CLAP, else DIAM; with a cylinder the least of them). What cannot be expressed is
+refused by the surface's number and type; what does not count (coatings, a stop in air) is left out, as the plan says.
 
 Around the glass is an opaque edge: a cylinder from rim to rim, where two rims differ with the larger one's radius and a
 level ring to the smaller. Light inside that comes beside a rim ends there. An aperture may stand in an air gap. Other
@@ -93,6 +96,7 @@ from __future__ import annotations
 import mitsuba as mi
 
 from speckle_mi.geometry.outline import Circle
+from speckle_mi.optics.cylinder import Cylinder
 from speckle_mi.optics.even_asphere import MOST_COEFFICIENTS, EvenAsphere
 from speckle_mi.optics.glass import FixedIndex, index_of
 from speckle_mi.optics.prescription import ROUNDING, Prescription
@@ -100,11 +104,11 @@ from speckle_mi.optics.surface import Surface
 from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import OUTSIDE, Element
 from speckle_mi.scene.errors import SceneError
-from speckle_mi.scene.parameters import describe, read_boolean, read_list, value_of
+from speckle_mi.scene.parameters import describe, read_boolean, read_choice, read_list, value_of
 from speckle_mi.scene.write import ORIGIN
 from ._lens_file import take_lens_file
 from ._lens_mesh import bands_of, lens_faces, lens_vertices
-from ._lens_numbers import LensNumbers, read_glass
+from ._lens_numbers import FORMS, ROTATIONAL, LensNumbers, read_glass
 from ._mesh import fill_mesh, move_mesh
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
@@ -118,9 +122,8 @@ class Lens(mi.Mesh):
         self.numbers = LensNumbers(props, self.glasses)
         read_numbers(self, props, self.numbers.limits, self.numbers.defaults)
         self.glasses |= {number: read_glass(props, name) for number, name in self.numbers.glasses.items()}
-        self.aspheric = [
-            read_list(props, f"aspheric{number}", MOST_COEFFICIENTS) for number in range(1, self.numbers.surfaces + 1)
-        ]
+        self.aspheric = [read_list(props, f"aspheric{number}", MOST_COEFFICIENTS) for number in self.numbers.all]
+        self.forms = [read_choice(props, f"form{number}", ROTATIONAL, FORMS) for number in self.numbers.all]
         self.reverse = read_boolean(props, "reverse", False)
         self._check()
         self.owns_bsdf = not has_bsdf(props)
@@ -161,16 +164,15 @@ class Lens(mi.Mesh):
         return Prescription(
             tuple(self._surface(number) for number in range(1, count + 1)),
             tuple(self._value(self.numbers.of_medium("thickness", number)) for number in media),
-            tuple(self.glasses.get(number) or self._fixed(number) for number in media),
+            tuple(self.glasses.get(n) or FixedIndex(self._value(self.numbers.of_medium("ior", n))) for n in media),
         )
-
-    def _fixed(self, number: int) -> FixedIndex:
-        return FixedIndex(self._value(self.numbers.of_medium("ior", number)))
 
     def _surface(self, number: int) -> Surface:
         radius, conic = self._value(f"radius{number}"), self._value(f"conic{number}")
         rim = Circle(self._value(self.numbers.diameter(number)) / 2)
         curvature, aspheric = 1.0 / radius if radius else 0.0, self.aspheric[number - 1]
+        if (form := self.forms[number - 1]) != ROTATIONAL:
+            return Cylinder(ORIGIN, curvature, conic, rim, FORMS.index(form) - 1)
         if any(aspheric):
             return EvenAsphere(ORIGIN, curvature, conic, rim, aspheric)
         return Surface(ORIGIN, curvature, conic, rim)
@@ -180,6 +182,7 @@ class Lens(mi.Mesh):
 
     def _check(self) -> None:
         check_numbers(self, self.numbers.limits)
+        self.numbers.check_forms(self.forms, self.aspheric)
         lens = self._drawn()
         for number, surface in enumerate(lens.surfaces, start=1):
             name = self.numbers.diameter(number)
@@ -193,7 +196,7 @@ class Lens(mi.Mesh):
             least, at = lens.thinnest(number - 1)
             if least < -ROUNDING * max(one.outline.reach for one in lens.surfaces):
                 name, rim = self.numbers.of_medium("thickness", number), self.numbers.diameter(number)
-                which = "" if self.numbers.surfaces == 2 else f" {number} and {number + 1}"
+                which = f" {number} and {number + 1}" if self.numbers.surfaces > 2 else ""
                 raise SceneError(
                     f"{self.where}: the surfaces{which} cross inside the diameter of {self._value(rim):g} mm "
                     f"(thickness {least:.4g} mm at {at:.4g} mm from the axis), must not: {name!r} {thickness:g} mm "

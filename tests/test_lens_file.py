@@ -170,6 +170,24 @@ def test_a_name_of_several_makers_is_that_of_the_files_catalogues(mitsuba, tmp_p
     assert read_lens(ACHROMAT.replace("GCAT SCHOTT", "GCAT OHARA HIKARI").encode()).glass(1).name == "HIKARI/SF5"
 
 
+CYLINDER = ASPHERE.replace("UNIT IN", "UNIT MM").replace("EVENASPH", "{}").replace("CURV 1.0", "CURV {}").replace(
+    "PARM 1 0\nPARM 2 0.2\nPARM 3 -0.3", "PARM 1 {}\nPARM 2 {}").replace("DISZ 0.25", "DISZ 4").replace(
+    "0.4", "6").replace("0.35", "5")  # fmt: skip
+
+
+@pytest.mark.parametrize("kind, curv, parm1, parm2, form, radius, conic", [
+    ("TOROIDAL", 0.02, 0, 0, "cylinder_y", 50.0, -0.6),
+    ("BICONICX", 0.02, 0, 0, "cylinder_y", 50.0, -0.6),
+    ("BICONICX", 0, 40, -0.3, "cylinder_x", 40.0, -0.3),
+    ("BICONICX", 0.02, 50, -0.6, "rotational", 50.0, -0.6),
+])  # fmt: skip
+def test_a_cylinder_of_a_file_is_one_of_the_lens(mitsuba, tmp_path, kind, curv, parm1, parm2, form, radius, conic):
+    lens = lens_from(mitsuba, tmp_path, CYLINDER.format(kind, curv, parm1, parm2))
+    face = lens.element().faces[0]
+    assert 1 / face.curvature == pytest.approx(radius, rel=1e-12) and face.conic == conic
+    assert lens.forms == [form, "rotational"] and face.outline.radius == (5.0 if form != "rotational" else 6.0)
+
+
 GLASS4 = "  GLAS SF5 0 0 1.5 40 0"
 
 BAD = {
@@ -196,6 +214,8 @@ BAD = {
     "a model of index 0": (ACHROMAT.replace(GLASS4, "  GLAS ___BLANK 1 0 0.0 40"), ["surface 4", "n = 0"]),
     "a term in r^2": (ASPHERE.replace("PARM 1 0", "PARM 1 0.01"), ["surface 1", "r^2"]),
     "a term of another type": (ASPHERE.replace("PARM 3", "PARM 13"), ["surface 1", "PARM 13"]),
+    "a toroid": (CYLINDER.format("TOROIDAL", 0.02, 30, 0), ["surface 1", "TOROIDAL", "two radii"]),
+    "a toroid of higher order": (CYLINDER.format("TOROIDAL", 0.02, 0, 1e-3), ["surface 1", "PARM 2"]),
     "a million surfaces": ("".join(f"SURF {n}\nCURV 0\n" for n in range(100_000)), ["more than 200 surfaces"]),
     "too large": (b" " * 5_000_000, ["bytes"]),
 }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..geometry.frames import Frame
 from .surface import Surface
 
 
@@ -35,9 +36,14 @@ def edge_crossing(faces: tuple[Surface, ...], origin: np.ndarray, direction: np.
     """
     frame = faces[0].frame
     p, d = frame.to_local(origin).T, (direction @ frame.axes).T
-    corners = edge_profile(faces)
     found = np.full(len(origin), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
+        if not all(face.has_flat_rim for face in faces):
+            for pair in zip(faces, faces[1:], strict=False):
+                for length in _between(p, d, pair, frame, room):
+                    found = np.where(length > room, np.fmin(found, length), found)
+            return found
+        corners = edge_profile(faces)
         for (r1, z1), (r2, z2) in zip(corners, corners[1:], strict=False):
             if r1 == r2:
                 crossings = _with_cylinder(p, d, r1, min(z1, z2) + room, max(z1, z2) - room)
@@ -45,6 +51,21 @@ def edge_crossing(faces: tuple[Surface, ...], origin: np.ndarray, direction: np.
                 crossings = [_with_ring(p, d, z1, min(r1, r2), max(r1, r2))]
             for length in crossings:
                 found = np.where(length > room, np.fmin(found, length), found)
+    return found
+
+
+def rim_height(face: Surface, frame: Frame, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Heights (n,) [mm] above a frame's origin of a face, whose axes are the frame's, at local x, y (n,)."""
+    return face.sag(x, y) + (face.frame.origin - frame.origin) @ frame.axes[:, 2]
+
+
+def _between(p: np.ndarray, d: np.ndarray, pair, frame: Frame, room: float) -> list[np.ndarray]:
+    """Crossings with the cylinder between two rims of one diameter that do not lie in planes."""
+    found = []
+    for length in _with_cylinder(p, d, pair[0].outline.reach, -np.inf, np.inf):
+        x, y, z = p + length * d
+        one, two = (rim_height(face, frame, x, y) for face in pair)
+        found.append(np.where((z > np.minimum(one, two) + room) & (z < np.maximum(one, two) - room), length, np.inf))
     return found
 
 

@@ -19,7 +19,7 @@ MOST_SURFACES = 200
 """Of a file, those of the system around the lens included."""
 
 _UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0, "M": 1000.0}
-_KINDS = ("STANDARD", "EVENASPH")
+_KINDS = ("STANDARD", "EVENASPH", "TOROIDAL", "BICONICX", "BICONIC")
 _UNREAD = ("COAT", "SCOL", "POPS", "SLAB", "HIDE", "COMM", "PRIM")
 _SURFACE = re.compile(r"SURF\s+(\d+)$")
 _SAME = 1e-12
@@ -31,7 +31,8 @@ class FileSurface:
 
     number: its own; kind: TYPE; curvature [1/mm]; conic; aspheric: coefficients of r^2, r^4, ... [mm^-1, mm^-3, ...];
     thickness: distance to the next [mm]; semi_diameter [mm], 0 where there is none; medium: its glass's name or model,
-    None for air; is_stop: whether it is the system's stop; parameters: PARM values by number, as they stand.
+    None for air; is_stop: whether it is the system's stop; parameters: PARM values by number, as they stand; form:
+    as a lens calls it.
     """
 
     number: int
@@ -45,6 +46,7 @@ class FileSurface:
     is_stop: bool = False
     parameters: dict[int, float] = field(default_factory=dict)
     aspheric: tuple[float, ...] = ()
+    form: str = "rotational"
 
 
 @dataclass(frozen=True)
@@ -224,6 +226,8 @@ def _require_expressible(surface: FileSurface) -> None:
         raise ValueError(
             f"surface {surface.number} is of TYPE {surface.kind[:20]}, must be one of {', '.join(_KINDS)} in a lens"
         )
+    if surface.kind not in ("STANDARD", "EVENASPH"):
+        return _require_cylinder(surface)
     highest = 8 if surface.kind == "EVENASPH" else 0
     used = [number for number, value in surface.parameters.items() if value != 0.0 and highest]
     if any(number > highest or number < 1 for number in used):
@@ -235,13 +239,34 @@ def _require_expressible(surface: FileSurface) -> None:
         )
 
 
+def _require_cylinder(surface: FileSurface) -> None:
+    """Makes a toroid or biconic the cylinder, or the surface of revolution, that it is; ValueError where it is neither.
+
+    CURV and CONI are those along y; PARM 1 is the radius along x (0: plane), and PARM 2 a biconic's conic there.
+    """
+    along_x = surface.parameters.get(1, 0.0)
+    is_biconic = surface.kind != "TOROIDAL"
+    conic_x = surface.parameters.get(2, 0.0) if is_biconic else 0.0
+    more = [number for number, value in surface.parameters.items() if value and number > (2 if is_biconic else 1)]
+    if more:
+        raise ValueError(f"surface {surface.number}: PARM {more[0]} of {surface.kind} is not 0, must be for a cylinder")
+    if surface.curvature and along_x:
+        is_round = is_biconic and abs(surface.curvature * along_x - 1) < _SAME and surface.conic == conic_x
+        if not is_round:
+            raise ValueError(f"surface {surface.number} is a {surface.kind} of two radii, must have one: a cylinder")
+    elif surface.curvature:
+        surface.form = "cylinder_y"
+    elif along_x:
+        surface.form, surface.curvature, surface.conic = "cylinder_x", 1 / along_x, conic_x
+
+
 def _in_mm(one: FileSurface, unit: float) -> FileSurface:
     """A surface in mm, its PARM values as coefficients of r^4, r^6, ..."""
     size = max((number for number, value in one.parameters.items() if value and one.kind == "EVENASPH"), default=0)
     aspheric = tuple(one.parameters.get(number, 0.0) * unit ** (1 - 2 * number) for number in range(2, size + 1))
     return FileSurface(
         one.number, one.kind, one.curvature / unit, one.conic, one.thickness * unit, one.semi_diameter * unit,
-        one.clear * unit, one.medium, one.is_stop, one.parameters, aspheric,
+        one.clear * unit, one.medium, one.is_stop, one.parameters, aspheric, one.form,
     )  # fmt: skip
 
 

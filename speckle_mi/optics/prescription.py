@@ -16,6 +16,9 @@ ROUNDING = 1e-12
 _GAP_SAMPLES = 4097
 """Radii at which the thickness of the glass is looked at."""
 
+_GAP_ANGLES = 31
+"""Angles about the axis, over a quarter, at which that of cylinders is."""
+
 
 @dataclass(frozen=True, eq=False)
 class Prescription:
@@ -51,12 +54,17 @@ class Prescription:
         pair = self.surfaces[number : number + 2]
         reach = max(one.outline.reach for one in pair)
         r = reach * np.sin(np.linspace(0, np.pi / 2, _GAP_SAMPLES))
-        front, back = (_height(one, r) for one in pair)
-        glass = self.thicknesses[number] + back - front
-        at = int(np.argmin(glass))
-        return float(glass[at]), float(r[at])
+        angles = [0.0] if all(one.has_flat_rim for one in pair) else np.linspace(0, np.pi / 2, _GAP_ANGLES)
+        found = []
+        for angle in angles:
+            front, back = (_height(one, r, angle) for one in pair)
+            glass = self.thicknesses[number] + back - front
+            at = int(np.argmin(glass))
+            found.append((float(glass[at]), float(r[at])))
+        return min(found)
 
 
-def _height(surface: Surface, r: np.ndarray) -> np.ndarray:
+def _height(surface: Surface, r: np.ndarray, angle: float) -> np.ndarray:
     """Height (n,) [mm] of a surface and of the level ring around its rim at distances r (n,) from the axis."""
-    return surface.sag(np.minimum(r, surface.outline.reach), 0.0)
+    r = np.minimum(r, surface.outline.reach)
+    return surface.sag(r * np.cos(angle), r * np.sin(angle))

@@ -68,6 +68,11 @@ class Surface:
         return self.curvature == 0.0
 
     @property
+    def has_flat_rim(self) -> bool:
+        """Whether a round rim about the axis lies in a plane."""
+        return True
+
+    @property
     def is_closed(self) -> bool:
         """Whether the whole surface, beyond any rim, is closed: a sphere or spheroid."""
         return self.curvature != 0.0 and self.conic > -1.0

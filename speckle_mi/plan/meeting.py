@@ -257,6 +257,8 @@ def _same_surface(one: Surface, other: Surface) -> bool:
         return False
     if one.is_plane and other.is_plane:
         return True
+    if not one.has_flat_rim and abs(abs(one.frame.axes[:, 0] @ other.frame.axes[:, 0]) - 1) > 1e-15:
+        return False
     same_form = one.same_form(other if cosine > 0 else other.turned(), reach, COINCIDENT)
     return same_form and np.linalg.norm(offset) < COINCIDENT
 

@@ -159,6 +159,12 @@ def _rim(name: str, number: int, interaction: Interaction, travel: np.ndarray) -
     is_screen = interaction.action == "pass"
     if is_screen or surface.is_plane:
         return Rim(name, surface, number, number, interaction.index_before, is_screen, normal)
+    if not surface.has_flat_rim:
+        # A cylinder's rim lies in no plane: the one through the part of it that light comes to first stands for it.
+        heights = np.array([0.0, surface.sag(outline.reach, 0.0), surface.sag(0.0, outline.reach)])
+        first = heights[np.argmin(heights * float(travel @ axis))]
+        plane = Surface(Frame(surface.frame.origin + first * axis, surface.frame.axes), outline=outline)
+        return Rim(name, plane, number, number, interaction.index_before, False, normal)
     if isinstance(outline, OffsetCircle):
         # Cut out beside the axis, a rim lies in no plane: the one through its middle stands for it.
         plane = Surface(Frame(surface.middle, surface.frame.axes), outline=Circle(outline.radius))
