@@ -98,8 +98,9 @@ def test_the_example_scenes_are_found_and_listed(tmp_path):
     listed = run("scenes", cwd=tmp_path)
     folder, *lines = listed.stdout.splitlines()
     names = sorted(path.stem for path in Path(folder).glob("*.xml"))
-    assert names == sorted(path.stem for path in SCENES.glob("*.xml"))
-    assert [line.split()[0] for line in lines] == names
+    parts = sorted(f"parts/{path.stem}" for path in Path(folder).glob("parts/*.xml"))
+    assert names == sorted(path.stem for path in SCENES.glob("*.xml")) and parts
+    assert [line.split()[0] for line in lines] == names + parts
     assert all(len(line.split()) > 4 for line in lines)
 
 

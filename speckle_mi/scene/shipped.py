@@ -13,8 +13,9 @@ def folder() -> Path:
 
 
 def scenes() -> dict[str, Path]:
-    """Names of the scenes and their files."""
-    return {path.stem: path for path in sorted(folder().glob("*.xml"))}
+    """Names of the scenes and their files, those of ready parts as ``parts/NAME``."""
+    found = {path.stem: path for path in sorted(folder().glob("*.xml"))}
+    return found | {f"parts/{path.stem}": path for path in sorted(folder().glob("parts/*.xml"))}
 
 
 def summary(path: Path) -> str:
