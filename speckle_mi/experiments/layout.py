@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from ..field.simulation import Simulation
+from ..geometry.frames import Frame
 from ..optics.surface import Surface
 from ..plan.drawn_rays import drawn_rays
 from ..scattering.beam import Beam
@@ -85,11 +86,13 @@ def layout_of(assemblies: Mapping[str, Assembly]) -> Layout:
             rays[several + channel.route.label] = drawn_rays(channel, spot.point, assembly.detector)
         warnings += [several + warning for warning in plan.warnings]
     size = _size(parts, spot.point)
-    lines, place = _beam(first.beam, spot.point, axes, size)
-    parts.append(Part("laser", "laser", ((), ()), place))
-    return Layout(
-        axes, frame.origin, tuple(parts), (lines,), rays, tuple(_facts(first, assemblies, spot, rays)), tuple(warnings)
-    )
+    beams = []
+    for lit in first.named_parts:
+        lines, place = _beam(lit.beam, lit.spot_at(frame).point, axes, size)
+        beams.append(lines)
+        parts.append(Part(lit.light, "laser", ((), ()), place))
+    facts = tuple(_facts(first, frame, assemblies, rays))
+    return Layout(axes, frame.origin, tuple(parts), tuple(beams), rays, facts, tuple(warnings))
 
 
 def _size(parts: list[Part], spot: np.ndarray) -> float:
@@ -98,7 +101,7 @@ def _size(parts: list[Part], spot: np.ndarray) -> float:
     return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
-def _target(body: Body, frame, axes: np.ndarray) -> Part:
+def _target(body: Body, frame: Frame, axes: np.ndarray) -> Part:
     points = frame.to_world(body.vertices)
     lines = tuple((_hull(points, axes, view),) for view in (0, 1))
     return Part("target", "target", lines, frame.origin)
@@ -218,15 +221,15 @@ def _beam(beam: Beam, spot: np.ndarray, axes: np.ndarray, size: float) -> tuple[
     return tuple(lines), middle[0] - 0.02 * size * beam.axis
 
 
-def _facts(assembly: Assembly, assemblies: Mapping[str, Assembly], spot, rays) -> list[tuple[str, str]]:
+def _facts(first: Assembly, frame: Frame, assemblies: Mapping[str, Assembly], rays) -> list[tuple[str, str]]:
     """What is worth knowing in numbers."""
-    beam = assembly.beam
-    cosine = float(np.clip(-beam.axis @ spot.normal, -1, 1))
-    radii = " x ".join(dict.fromkeys(f"{radius:.4g}" for radius in beam.radii_at(spot.point)))
-    width = "uniform" if beam.is_uniform else f"radius {radii} mm"
-    facts = [
-        ("laser", f"{1e6 * assembly.vacuum_wavelength:.5g} nm, {width}, {_degrees(cosine)} from the target's normal"),
-    ]
+    facts = []
+    for lit in first.named_parts:
+        beam, spot = lit.beam, lit.spot_at(frame)
+        radii = " x ".join(dict.fromkeys(f"{radius:.4g}" for radius in beam.radii_at(spot.point)))
+        width = "uniform" if beam.is_uniform else f"radius {radii} mm"
+        angle = _degrees(float(np.clip(-beam.axis @ spot.normal, -1, 1)))
+        facts.append((lit.light, f"{1e6 * lit.vacuum_wavelength:.5g} nm, {width}, {angle} from the target's normal"))
     for name, one in assemblies.items():
         grid = one.detector
         rows, columns = grid.shape
