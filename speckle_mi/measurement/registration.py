@@ -208,7 +208,7 @@ class Subset:
         return Found(np.add(displacement, place), covariance, min(float(correlation), 1.0))
 
     def _zero_of_score(self, spectrum: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Displacement (v, u) [px] at which the products of the moved image and the gradients vanish; their slope there.
+        """Where (v, u) [px] the products of the moved image and the gradients vanish; their slope there.
 
         The products are linear in the moved image, so that sums over frequencies tell them at every displacement; the
         image's gain drops out. The slope has the moved image's gradient beside the reference's: what both share counts
