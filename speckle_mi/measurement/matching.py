@@ -24,7 +24,7 @@ from .ncc import Overlaps, Template
 from .peak import FEWEST_SPECKLES, PATCH, Peak, Texture, argmax, least_significant, most_significant, peak_at
 from .registration import Found, Subset
 from .shift import Shift, no_shift
-from .still import finer_than_a_pixel, moving_peak, of_the_camera, still_note
+from .still import finer_than_a_pixel, moving_peak, of_the_camera, pull, still_note
 from .turned import turned_back, turns
 
 MASKED = 0.1
@@ -44,6 +44,11 @@ WHOLE_PIXEL = 1.0 / math.sqrt(12.0)
 
 PATCH_LOBE = (2 * PATCH, 2 * PATCH)
 """Reach of correlated residuals where the middle of the reference, by which it is judged, is dark [px]."""
+
+PULLED = (
+    "a part of the pattern stands still (uneven gain, dust) and pulls this shift toward zero, which its uncertainty"
+    " holds; take a picture of even light and give it as --flat"
+)
 
 DECORRELATION = 0.6
 """K of sigma = K (s^2/n) sqrt((1-c)/c) px, s the speckle size and n the side of the window [px]."""
@@ -289,6 +294,9 @@ class Matcher:
             covariance = np.eye(2) * self._scatter(peak.ncc, window) ** 2
         else:
             place, covariance = result.displacement, result.covariance
+            if self.lit and (pulled := pull(result.unshared, result.power, place, self.texture)) > 0.0:
+                covariance = covariance + pulled**2 * np.eye(2)
+                note = note or PULLED
         sigma = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         # A single row or column cannot show motion across itself.
         (v, sigma_v), (u, sigma_u) = (

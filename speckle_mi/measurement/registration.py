@@ -51,11 +51,17 @@ SPREAD = 2
 
 @dataclass(frozen=True)
 class Found:
-    """Displacement (v, u) [px], its covariance (2, 2) [px^2] and correlation of the filtered windows there."""
+    """Displacement (v, u) [px], its covariance (2, 2) [px^2] and correlation of the filtered windows there.
+
+    unshared: (rows, columns) what the moved window does not share with the reference's, and power: the mean square of
+    that one, in the same unit.
+    """
 
     displacement: np.ndarray
     covariance: np.ndarray
     correlation: float
+    unshared: np.ndarray
+    power: float
 
 
 def padded_piece(image: np.ndarray, corner: tuple[int, int], size: tuple[int, int]) -> np.ndarray:
@@ -203,9 +209,13 @@ class Subset:
             return None
         inverse = np.linalg.inv((product / energy) * slope)
         covariance = np.full((2, 2), np.nan)
-        covariance[np.ix_(self.axes, self.axes)] = inverse @ self._score_variance(values, product, energy) @ inverse.T
-        correlation = product / np.sqrt(energy * self.energy)
-        return Found(np.add(displacement, place), covariance, min(float(correlation), 1.0))
+        # What the moved image does not share with the reference. The whole sum is the same with the residual of the
+        # iteration, but in a box gradient times pattern is not 0.
+        unshared = (product / energy) * (values - (product / self.energy) * self.values)
+        variance = score_variance(self.gradients, unshared, self.reach)
+        covariance[np.ix_(self.axes, self.axes)] = inverse @ variance @ inverse.T
+        correlation = min(float(product / np.sqrt(energy * self.energy)), 1.0)
+        return Found(np.add(displacement, place), covariance, correlation, unshared, self.energy / values.size)
 
     def _zero_of_score(self, spectrum: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Where (v, u) [px] the products of the moved image and the gradients vanish; their slope there.
@@ -242,12 +252,6 @@ class Subset:
         other._set_gradients(self.gradients)
         vars(other).pop("_gradient_spectra", None)  # of all of the window
         return other
-
-    def _score_variance(self, values: np.ndarray, product: float, energy: float) -> np.ndarray:
-        # What the moved image does not share with the reference. The whole sum is the same with the residual of the
-        # iteration, but in a box gradient times pattern is not 0.
-        residual = (product / energy) * (values - (product / self.energy) * self.values)
-        return score_variance(self.gradients, residual, self.reach)
 
 
 def _cell_sums(values: np.ndarray, cell: int, axis: int) -> np.ndarray:

@@ -1,7 +1,8 @@
 """What stands still in two images of a moving pattern, as the correlation surface shows it.
 
 A camera's fixed pattern (offsets and gains of its pixels, dust, reflections) correlates at zero shift whatever the
-speckle does: as a spike of one pixel where it is as fine as the pixels, as a second peak where it is coarser.
+speckle does: as a spike of one pixel where it is as fine as the pixels, as a second peak where it is coarser. Where
+that lies inside the peak of what moves, the residual tells of it.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import math
 
 import numpy as np
 
+from .covariance import LOBE_REACH
 from .peak import Peak, Texture, fall_beside, height_over_neighbours, peak_at
 
 STILL = 1
@@ -45,6 +47,22 @@ HALF = 0.5
 
 NEAR = 2
 """Distance from zero shift, in reaches of the pattern's lobe, up to which a broad peak is looked for."""
+
+LEFT_BEHIND = 3.0
+"""Standard errors by which the residual is less like itself along the shift than across it, from which on a part of the
+pattern stood still."""
+
+FARTHER = 1.7
+"""Least lag along the shift at which the residual is compared with itself, in half widths of the pattern's lobe: there
+what is a derivative along the shift has turned its sign."""
+
+PULL = 0.4
+"""Pull by what stands still, over its share of the pattern's variance, in standard deviations of the lobe: two thirds
+of the steepest slope of a Gaussian, 0.61, since of uneven gain half of that variance moves with the pattern."""
+
+LEAST_UNSHARED = 1e-6
+"""Variance of the residual, relative to the pattern's, below which it is what interpolation leaves: a gain that is
+uneven by a thousandth leaves more."""
 
 
 def _distance(place: tuple[int, int], origin: tuple[int, int]) -> int:
@@ -145,3 +163,38 @@ def still_note(
     if far and (height := _spike(surface, origin, ncc, 0.0, pixels, texture)) > 0.0:
         return f"a fixed pattern of the camera adds {100 * height:.0f} % of the correlation at zero shift"
     return ""
+
+
+def pull(unshared: np.ndarray, power: float, displacement: np.ndarray, texture: Texture) -> float:
+    """Standard uncertainty [px] that what stands still adds to a shift near zero, 0 where nothing seems to.
+
+    Gain or dust as coarse as the speckle has no peak of its own beside the pattern's. But what the moved image does not
+    share with the reference (rows, columns) is then a difference a(x) - a(x - d), which is unlike itself a shift d
+    away and not so across it; speckle that boils and noise know no direction. power: mean square of the reference's
+    window in the same unit; displacement: (v, u) [px].
+    """
+    distance = math.hypot(*displacement)
+    near = all(abs(d) <= NEAR * reach for d, reach in zip(displacement, texture.lobe))
+    variance = float(np.einsum("ij,ij->", unshared, unshared)) / unshared.size
+    if not near or distance == 0.0 or variance <= LEAST_UNSHARED * power:
+        return 0.0
+    half = float(np.mean(texture.lobe)) / LOBE_REACH
+    v, u = (round(d / distance * max(distance, FARTHER * half)) for d in displacement)
+    if 4 * max(abs(v), abs(u)) > min(unshared.shape):
+        return 0.0
+    unlike = (_at_lag(unshared, (-u, v)) - _at_lag(unshared, (v, u))) / variance
+    if unlike * math.sqrt(texture.speckles(unshared.size) / 2.0) < LEFT_BEHIND:
+        return 0.0
+    sigma = half / math.sqrt(2.0 * math.log(2.0))
+    # The residual is as large as this share of what stands still: little of it after a short shift.
+    seen = -2.0 * math.expm1(-0.5 * (distance / sigma) ** 2)
+    return PULL * sigma * variance / (power * seen)
+
+
+def _at_lag(values: np.ndarray, lag: tuple[int, int]) -> float:
+    """Mean product of values (rows, columns) with those a lag (v, u) away."""
+    one, other = (
+        values[tuple(slice(max(0, side * d), n + min(0, side * d)) for d, n in zip(lag, values.shape))]
+        for side in (1, -1)
+    )
+    return float(np.einsum("ij,ij->", one, other)) / one.size
