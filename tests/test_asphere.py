@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from exact_lenses import focal_length, parameters_of, reversed_lens, sag
 from exact_optics import Refractor, bench, element_xml, facing, fermat, rendered_unit, thin_lens_start
+from scene_builder import direction, frame_along
 from test_lens import FIELD_TOLERANCE, FRONT, WAVELENGTH, check_paths, element_of
 
 from speckle_mi.geometry.frames import Frame
@@ -157,18 +158,35 @@ def test_tangents_through_an_asphere_are_those_of_rays_beside():
     assert np.allclose(last.state[:, 2, 0], (ends[0] - ends[1]) / (2 * h), rtol=1e-7, atol=1e-7)
 
 
+def like_a_paraboloid(radius: float) -> str:
+    """Coefficients that take the sphere's own r^4, r^6, ... away, of c r^2/(1 + sqrt(1 - c^2 r^2)) = sum b_n c^(2n-1) r^2n."""
+    term, found = 1 / 8, []
+    for n in range(2, 10):
+        found.append(-term / radius ** (2 * n - 1))
+        term *= (2 * n - 1) / (2 * n + 2)
+    return ", ".join(map(repr, found))
+
+
 def test_a_spherical_mirror_with_the_paraboloids_coefficients_is_a_paraboloid(mitsuba):
-    """z = r^2/2R is the sphere less its own r^4, r^6, ... terms: 8 of them within 1e-9 mm at r/R = 0.05."""
     radius, r = 200.0, np.linspace(0, 10, 21)
-    ratios, more = 1 / 8, []
-    for n in range(2, 10):  # c r^2/(1 + sqrt(1 - c^2 r^2)) = sum b_n c^(2n-1) r^2n, b_1 = 1/2
-        more.append(-ratios / radius ** (2 * n - 1))
-        ratios *= (2 * n - 1) / (2 * n + 2)
-    values = {"type": "mirror", "radius": radius, "diameter": 20.0, "aspheric": " ".join(map(repr, more))}
+    values = {"type": "mirror", "radius": radius, "diameter": 20.0, "aspheric": like_a_paraboloid(radius)}
     face = mitsuba.load_dict(values).element().faces[0]
     assert np.allclose(face.sag(r, 0 * r), r * r / (2 * radius), rtol=0, atol=1e-13)
     with pytest.raises(RuntimeError, match="'aspheric' has 11 numbers"):
         mitsuba.load_dict(values | {"aspheric": "1e-9 " * 11})
+
+
+@pytest.mark.parametrize("off_axis", [0.0, 6.0])
+def test_field_over_an_aspheric_mirror_is_that_over_the_paraboloid_it_stands_for(tmp_path, assemble, off_axis):
+    turned = Frame(np.array([0.0, 0.0, 60.0]), rotation_matrix(np.radians([0.0, 20.0, 0.0])))
+    aside = frame_along(-direction(-140), turned.origin + 30.0 * direction(-140), np.array([1.0, 0, 0]))
+    fields = []
+    for form in ({"conic": -1.0}, {"aspheric": like_a_paraboloid(200.0)}):
+        bowl = element_xml("mirror", "bowl", turned, radius=200.0, diameter=20.0, off_axis=off_axis, **form)
+        text = bench(tmp_path, np.zeros(3), aside, [bowl], pixels=(8, 8), diffraction=False)
+        fields.append(rendered_unit(assemble, text)[2])
+    assert np.linalg.norm(fields[0]) > 0
+    assert np.linalg.norm(fields[1] - fields[0]) < FIELD_TOLERANCE * np.linalg.norm(fields[0])
 
 
 @pytest.mark.parametrize("change, message", [

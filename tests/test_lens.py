@@ -8,7 +8,6 @@ from exact_lenses import focal_length, parameters_of, path, reversed_lens
 from exact_optics import Refractor, bench, diffracted, disc_nodes, element_xml, facing, fermat, rendered, rendered_unit
 from exact_optics import thin_lens_start
 
-from speckle_mi.geometry.frames import Frame
 from speckle_mi.optics.sequence import Interaction, Sequence
 from speckle_mi.optics.surface import Surface
 from speckle_mi.optics.trace import trace
