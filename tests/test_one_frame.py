@@ -26,6 +26,7 @@ from speckle_mi import Pose, theory
 from speckle_mi.experiments.expectation import expected_sensitivity
 from speckle_mi.experiments.one_frame import OneFrame, sampled_pixels, sensitivity_of
 from speckle_mi.experiments.precision import Precision
+from speckle_mi.field.derivatives import EVERY_PAIR, LOOSEST
 from speckle_mi.geometry.plane import PlaneGrid
 from speckle_mi.geometry.pose import DEGREES_OF_FREEDOM
 from speckle_mi.measurement.velocity import Flow, half_correlation
@@ -171,6 +172,22 @@ def test_intervals_hold_theory_as_often_as_they_say(shipped, simulate):
     assert LEAST <= np.mean(list(found.values())) <= MOST
     rotations = [share for (dof, _), share in found.items() if dof in ("rx", "rz")]
     assert LEAST <= np.mean(rotations) < 1.0, "numerical error is no part of them that is seen"
+
+
+@pytest.mark.parametrize("name, defaults, error", [("tilted_laser", {}, EVERY_PAIR), ("ball_lens", {
+    "width": 16, "height": 16, "beam_radius": 0.012, "point_sources": 100}, LOOSEST)])  # fmt: skip
+def test_intervals_hold_the_error_that_fields_are_computed_to(shipped, simulate, name, defaults, error):
+    """That of a pass over all pairs in free space, and the tolerance behind elements."""
+    simulation = simulate(shipped(name, **defaults))
+    measurement = OneFrame(simulation)
+    measurement.measure(range(2))
+    assert measurement.result.error == error
+    size, entries = {}, {}
+    for factor in (1.0, 1e4):
+        fits = sensitivity_of(simulation, replace(measurement.result, error=factor * error), ("x",)).fits["x"]
+        entries[factor], size[factor] = np.ptp(fits["u"].ci95) / 2, np.hypot(fits["u"].value, fits["v"].value)
+    wanted = np.sqrt(entries[1.0] ** 2 + (1e8 - 1) * (error * size[1.0]) ** 2)
+    assert entries[1e4] == pytest.approx(wanted, rel=0.05)
 
 
 def test_pixels_are_sampled_one_a_cell_whatever_the_size_of_the_detector():

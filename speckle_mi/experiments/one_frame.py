@@ -95,6 +95,7 @@ class OneFrame:
 
     def _flow(self, seed: int, lit: tuple[Scatterers, ...] | None) -> Flow:
         found = self.simulation.derivatives(self._pixels, seed, lit)
+        self.result.error = max(self.result.error, found.error)
         rows, columns = np.divmod(self._pixels, self._grid.shape[1])
         middle = (np.array(self._grid.shape) - 1) / 2
         places = self._grid.pitch * np.stack([columns - middle[1], rows - middle[0]], axis=1)
