@@ -258,7 +258,7 @@ def _follow(
         for step in march(sequence, launch_state(source, direction, *transverse(direction)), tubes=True):
             log.add(step)
             caustics.add(step)
-    return sequence.last.surface.frame.to_world(step.state[:, 0].T).T, log.status, caustics.count
+        return sequence.last.surface.frame.to_world(step.state[:, 0].T).T, log.status, caustics.count
 
 
 def _linear_start(sequence: Sequence, chief: _ChiefRay, source: np.ndarray, target: np.ndarray) -> np.ndarray:

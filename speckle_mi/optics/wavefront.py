@@ -25,7 +25,8 @@ def arriving_curvature(sequence: Sequence, source: np.ndarray, launch: np.ndarra
     for step in march(sequence, launch_state(source[:, None], direction, *transverse(direction))):
         pass
     moved, turned = step.state[:2, 2:4, 0], step.state[:2, 4:6, 0]
-    return sequence.last.index_before * _solved(moved.T, turned.T).T
+    with np.errstate(invalid="ignore", over="ignore"):
+        return sequence.last.index_before * _solved(moved.T, turned.T).T
 
 
 def leaving_curvature(sequence: Sequence, plane: Frame, place: np.ndarray, launch: np.ndarray) -> np.ndarray:
@@ -41,7 +42,8 @@ def leaving_curvature(sequence: Sequence, plane: Frame, place: np.ndarray, launc
     for step in march(sequence, state):
         pass
     along = plane.axes[:, :2].T @ np.concatenate(turns, axis=1)
-    return sequence.interactions[0].index_before * along @ _solved(step.state[:2, 4:6, 0], step.state[:2, 2:4, 0])
+    with np.errstate(invalid="ignore", over="ignore"):
+        return sequence.interactions[0].index_before * along @ _solved(step.state[:2, 4:6, 0], step.state[:2, 2:4, 0])
 
 
 def _solved(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
