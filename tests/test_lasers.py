@@ -9,6 +9,7 @@ from scene_builder import WORLD, detector_frame, detector_xml, direction, frame_
 
 from speckle_mi import theory
 from speckle_mi.experiments.expectation import expected_sensitivity
+from speckle_mi.experiments.layout import layout_of
 from speckle_mi.experiments.one_frame import OneFrame
 from speckle_mi.field.simulation import Simulation, simulate_frame
 from speckle_mi.field.sources import write_sources
@@ -377,3 +378,11 @@ def test_sources_of_every_laser_make_its_field(assemble, tmp_path):
             field = frame.image.layers[layer]
             # The tolerance of the sum, and paths of 10^5 wavelengths in double precision.
             assert abs(field[row, column] - exact) < 1e-3 * np.abs(field).max()
+
+
+def test_a_drawing_shows_every_laser_by_its_name(assemble):
+    layout = layout_of({"detector": assemble(scene(*TWO))})
+    assert len(layout.beams) == 2
+    assert [part.name for part in layout.parts if part.kind == "laser"] == ["left", "right"]
+    words = dict(layout.facts)
+    assert words["left"].startswith("632.8 nm") and words["right"].startswith("780 nm")
