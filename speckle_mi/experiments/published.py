@@ -86,7 +86,8 @@ def published_assembly(assembly: Assembly) -> PublishedAssembly | None:
 def _has_the_light(assembly: Assembly) -> bool:
     beam = assembly.beam
     return (
-        not beam.is_uniform
+        not assembly.further
+        and not beam.is_uniform
         and _close(beam.wavelength, WAVELENGTH)
         and all(_close(radius, WAVEFRONT_RADIUS) for radius in beam.wavefront_radii)
         and abs(beam.reference_path - LASER_DISTANCE) < LENGTH
