@@ -292,8 +292,9 @@ def test_scatterers_are_not_hidden_by_the_targets_own_patch(assemble, tmp_path, 
     assert np.linalg.norm(field - np.sum(parts, axis=0)) <= INTENSITY * np.linalg.norm(field)
 
 
-def test_edge_near_the_light_is_told_with_the_wave_that_is_left_out(assemble, tmp_path):
-    source, (x, z) = np.zeros(3), (0.9, 30.0)
+@pytest.mark.parametrize("x", [0.9, 5.0, 40.0])
+def test_edge_beside_the_light_is_told_with_the_wave_that_is_left_out(assemble, tmp_path, x):
+    source, z = np.zeros(3), 30.0
     assembly, made, field = rendered(
         assemble, bench(tmp_path, source, facing(60), [card(x, z)], pixels=(40, 8), pitch=0.03)
     )

@@ -20,7 +20,7 @@ from ..optics.trace import RayStatus, trace
 from .fresnel import fresnel_parameter
 from .places import FINE, hole_places
 from .setup import Setup
-from .shadows import SAFE_MARGIN, WayPart, extremes, wave_of_shadow
+from .shadows import SAFE_MARGIN, WayPart, WayRays, extremes, wave_of_shadow
 from .way import Channel, Rim
 
 _COARSE = 96
@@ -75,8 +75,14 @@ def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.n
 
 def shapes_before(setup: Setup, channel: Channel) -> tuple[str, ...]:
     """Names of shapes that cut the light on its way from the spot to the first opening."""
+    rays = rays_to_opening(setup, channel)
+    return tuple(dict.fromkeys(_in_the_way(setup, rays)))
+
+
+def rays_to_opening(setup: Setup, channel: Channel) -> WayRays:
+    """Rays from the spot to places all over the first opening."""
     part, ends = WayPart.between(channel, None, channel.openings[0]), hole_places(channel.openings[0].plane, *FINE)
-    return tuple(dict.fromkeys(_in_the_way(setup, part, setup.spots, ends)))
+    return WayRays(part, part.rays(*all_pairs(setup.spots, ends))[0])
 
 
 def shapes_between_openings(setup: Setup, channel: Channel) -> list[str]:
@@ -84,13 +90,14 @@ def shapes_between_openings(setup: Setup, channel: Channel) -> list[str]:
     names = []
     for first, second in pairwise(channel.openings):
         part = WayPart.between(channel, first, second)
-        names += _in_the_way(setup, part, hole_places(first.plane, *FINE), hole_places(second.plane, *FINE))
+        places = (hole_places(rim.plane, *FINE) for rim in (first, second))
+        names += _in_the_way(setup, WayRays(part, part.rays(*all_pairs(*places))[0]))
     return names
 
 
-def _in_the_way(setup: Setup, part: WayPart, starts: np.ndarray, ends: np.ndarray) -> list[str]:
-    points, _ = part.rays(*all_pairs(starts, ends))
-    return [] if np.all(part.unblocked(setup, points)) else part.shapes_beside(setup, points)
+def _in_the_way(setup: Setup, rays: WayRays) -> list[str]:
+    free = np.all(rays.part.unblocked(setup, rays.points))
+    return [] if free else rays.part.shapes_beside(setup, rays.points)
 
 
 def wave_on_opening(setup: Setup, channel: Channel) -> float:

@@ -25,10 +25,24 @@ from .cost import opening_cost
 from .edges import SHARE, EdgeWave, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
 from .gradients import phase_gradients
-from .opening_shadows import hidden_pixels, shapes_before, shapes_between_openings, wave_on_opening
+from .opening_shadows import (
+    hidden_pixels,
+    rays_to_opening,
+    shapes_before,
+    shapes_between_openings,
+    wave_on_opening,
+)
 from .relay import NEAR_CAUSTIC
 from .routes import Route, find_routes
-from .shadows import HALF_LIT, clearance_of_shapes, lit_pixels, shapes_beside_way, wave_of_shadow
+from .shadows import (
+    HALF_LIT,
+    WayRays,
+    clearance_of_shapes,
+    lit_pixels,
+    rays_to_detector,
+    shapes_beside_way,
+    wave_of_shadow,
+)
 from .stage import (
     BESIDE,
     CLEAR,
@@ -48,9 +62,6 @@ from .stage import (
 )
 from .strength import Strength, reached_share, strength_of
 from .way import Channel, PhaseGradient, Rim, rims_of, with_slack
-
-_CLEARANCES = (1.5, 3.0, 6.0, 12.0, 25.0)
-"""Fresnel parameters at which is looked for shapes beside the light; nearer than the first they cut it."""
 
 _DETECTOR_SAMPLES = 9
 
@@ -206,9 +217,9 @@ def _edges_beside(setup: Setup, channel: Channel) -> list[Stage]:
                 "at that edge is not computed: put an aperture with the free part as its hole in its place, move it "
                 "out of the light, or set diffraction to false for its geometric shadow"
             )
-        if not channel.cut_by:
-            return []
-        return [Stage(CUT, channel.cut_by, predicted_error=wave_on_opening(setup, channel))]
+        if channel.cut_by:
+            return [Stage(CUT, channel.cut_by, predicted_error=wave_on_opening(setup, channel))]
+        return _wave_beside(setup, rays_to_opening(setup, channel))
     names = shapes_beside_way(setup, channel, spots)
     lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
     if names and not np.any(lit):
@@ -217,7 +228,13 @@ def _edges_beside(setup: Setup, channel: Channel) -> list[Stage]:
         length = float(np.linalg.norm(channel.grid.centre - spots[0]))
         step = fresnel_parameter(channel.grid.pitch, length, setup.assembly.beam.wavelength)
         return [Stage(CUT, tuple(dict.fromkeys(names)), predicted_error=wave_of_shadow(lit, step))]
-    v, names = clearance_of_shapes(setup, channel, spots, _CLEARANCES)
+    return _wave_beside(setup, rays_to_detector(channel, spots))
+
+
+def _wave_beside(setup: Setup, rays: WayRays) -> list[Stage]:
+    """A stage on the wave of the nearest edge of shapes beside rays that all go free; none where it does not count."""
+    enough = SHARE * setup.assembly.options.tolerance
+    v, names = clearance_of_shapes(setup, rays, lambda v: edge_wave(v) > enough)
     if not names:
         return []
     return [Stage(LEFT_OUT, tuple(dict.fromkeys(names)), predicted_error=min(HALF_LIT, float(edge_wave(v))))]

@@ -43,6 +43,9 @@ _SOURCES_AT_ONCE = 32
 """Sources whose rays are aimed together."""
 
 
+_NEAREST = 1.5
+"""Fresnel parameter of the nearest shape that is looked for beside light that goes free."""
+
 HALF_LIT = 0.5
 """Part of the light's amplitude at the very edge of a shadow."""
 
@@ -150,24 +153,35 @@ def shapes_beside_way(setup: Setup, channel: Channel, sources: np.ndarray) -> li
     return part.shapes_beside(setup, part.rays(starts, ends)[0])
 
 
-def clearance_of_shapes(
-    setup: Setup, channel: Channel, sources: np.ndarray, steps: tuple[float, ...]
-) -> tuple[float, list[str]]:
-    """How far shapes beside a way keep off its light, and the names of those that come nearer than the last step.
+def clearance_of_shapes(setup: Setup, rays: WayRays, counts: Callable[[float], bool]) -> tuple[float, list[str]]:
+    """How far shapes beside rays of a part of a way keep off, and the names of those that come nearest.
 
     The first is the largest of rising Fresnel parameters v = d sqrt(2 / (lambda L)) that is kept, 0 for none; d is the
-    distance from rays to the detector, L at most a quarter of the way, where its edge lies half way.
+    distance from the rays, L at most a quarter of the part, where its edge lies half way. Looked for as far as a
+    parameter ``counts``, and no farther than all that stands there; names are empty where nothing is found.
     """
-    part, starts, ends = _outer_rays(channel, sources)
-    points, _ = part.rays(starts, ends)
-    length = float(np.max(np.linalg.norm(np.diff(points, axis=0), axis=2).sum(axis=0)))
-    kept = 0.0
-    for v in steps:
+    length = float(np.max(np.linalg.norm(np.diff(rays.points, axis=0), axis=2).sum(axis=0)))
+    v, kept, farthest = _NEAREST, 0.0, _extent(setup, rays)
+    while True:
         aside = fresnel_distance(v, length / 4, setup.assembly.beam.wavelength)
-        if not np.all(part.unblocked(setup, points, aside)):
-            return kept, part.shapes_beside(setup, points, aside)
-        kept = v
-    return kept, []
+        near = rays.part.shapes_beside(setup, rays.points, aside)
+        if near and not np.all(rays.part.unblocked(setup, rays.points, aside)):
+            return kept, near
+        if not counts(v) or aside > farthest:
+            return v, []
+        kept, v = v, 2 * v
+
+
+def _extent(setup: Setup, rays: WayRays) -> float:
+    """Size [mm] of a box around rays and all elements."""
+    points = np.concatenate([rays.points.reshape(-1, 3), *(element.body.bounds for element in setup.assembly.elements)])
+    return float(np.linalg.norm(np.nanmax(points, axis=0) - np.nanmin(points, axis=0)))
+
+
+def rays_to_detector(channel: Channel, sources: np.ndarray) -> WayRays:
+    """Rays of a way from all sources (n, 3) to places all over the detector."""
+    part, starts, ends = _outer_rays(channel, sources)
+    return WayRays(part, part.rays(starts, ends)[0])
 
 
 def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[WayPart, np.ndarray, np.ndarray]:
@@ -308,6 +322,14 @@ class WayPart:
             if place > 0:
                 folded[row] = real[place - 1].to_world(seen[place - 1].to_local(points[row]))
         return folded
+
+
+@dataclass(frozen=True)
+class WayRays:
+    """Rays of a part of a way: their points (p, n, 3), ends included [mm]."""
+
+    part: WayPart
+    points: np.ndarray
 
 
 def _without_rim(interaction: Interaction, is_own: bool) -> Interaction:
