@@ -53,3 +53,28 @@ def test_the_pattern_behind_the_achromat_moves_as_the_image(shipped):
     assert any("achromat - achromat - achromat - stop" in line for line in plan_of(assembly).lines)
     # v runs along -y; the image is upside down and 1.004 times the target, 2 f before and behind.
     assert expected_sensitivity(assembly)["x"][0] == pytest.approx(-1.0, abs=0.02)
+
+
+def test_the_rays_through_the_asphere_meet_in_one_point(shipped):
+    assembly = shipped("parts/asphere")
+    lens = next(one for one in assembly.elements if one.name == "asphere")
+    front, index = lens.faces[0].frame.origin[2], glass_named("SCHOTT/P-SK57").index(632.8e-6)
+
+    def ends(coefficients) -> list[float]:
+        first = {"radius": 28.0, "aspheric": coefficients, "after": (6.0, index)}
+        second = {"radius": -28.0, "aspheric": [-one for one in coefficients], "after": (0.0, 1.0)}
+        centre = float(assembly.detector.centre[2])
+        return [float(path([first, second], [0, 0, 0], [m, 0, 1], front, centre)[1][0]) for m in (0.02, 0.05, 0.08, 0.1)]
+
+    assert np.abs(ends((-1.4295e-5, 4.023e-9))).max() < 3e-5
+    assert np.abs(ends(())).max() > 0.3
+    # The scene's own faces are these.
+    r = np.array([2.0, 4.0, 5.5])
+    sphere = 28 - np.sqrt(28**2 - r * r)
+    assert np.allclose(lens.faces[0].sag(r, 0 * r), sphere - 1.4295e-5 * r**4 + 4.023e-9 * r**6, rtol=0, atol=1e-12)
+
+
+def test_the_pattern_behind_the_asphere_moves_as_the_image(shipped):
+    assembly = shipped("parts/asphere", width=32, height=32)
+    assert any("asphere - asphere - stop" in line for line in plan_of(assembly).lines)
+    assert expected_sensitivity(assembly)["x"][0] == pytest.approx(-1.0, abs=0.02)
