@@ -13,6 +13,7 @@ from exact_optics import MIRROR, bench, element_xml, facing, frame_along, render
 from scipy.optimize import brentq
 
 from speckle_mi.geometry.frames import Frame
+from speckle_mi.geometry.rotation import rotation_matrix
 
 WAVELENGTH = 632.8e-6
 CENTRE, RADIUS = np.array([1.0, 2.0, 4.0]), 100.0
@@ -20,7 +21,7 @@ FIELD = 2e-6  # Relative L2: the tolerance asked for is 1e-6, single precision s
 
 
 def reflected(source, place):
-    """(arrival (3,), complex amplitude) of all rays from ``source`` (3,) to a place over the sphere, less the mirror's phase."""
+    """(arrival (3,), complex amplitude) of all rays from ``source`` (3,) over the sphere to a place, less its phase."""
     a, b = source - CENTRE, place - CENTRE
     e1 = a / np.linalg.norm(a)
     e2 = b - (b @ e1) * e1
@@ -65,7 +66,8 @@ def test_each_part_of_a_hollow_sphere_that_lights_a_pixel_is_a_way(
 ):
     source = np.array(source, dtype=float)
     bowl = element_xml("sphere", "bowl", Frame(CENTRE, np.eye(3)), MIRROR, size=(RADIUS,) * 3)
-    assembly, frame, field = rendered(assemble, bench(tmp_path, source[None], detector, [bowl], pixels=(6, 4), pitch=0.02))
+    text = bench(tmp_path, source[None], detector, [bowl], pixels=(6, 4), pitch=0.02)
+    assembly, frame, field = rendered(assemble, text)
     targets, normal = assembly.detector.points(), assembly.detector.normal
     expected = spherical(source, targets, WAVELENGTH) if direct else np.zeros(len(targets), complex)
     for k, place in enumerate(targets):
@@ -77,3 +79,25 @@ def test_each_part_of_a_hollow_sphere_that_lights_a_pixel_is_a_way(
     found = found * turn / abs(turn)
     assert np.linalg.norm(found - expected) <= FIELD * np.linalg.norm(expected)
     assert any(line.startswith("left out: target - bowl - bowl") for line in frame.plan), "light goes on to and fro"
+
+
+def test_ways_to_and_fro_between_two_mirrors_are_followed_and_what_is_beyond_is_counted(assemble, tmp_path):
+    def wall(name, x, turn):
+        axes = rotation_matrix(np.radians([0.0, turn, 0.0]))
+        return element_xml("rectangle", name, Frame(np.array([x, 0.0, 30.0]), axes), MIRROR, size=(40, 40, 1))
+
+    walls = [wall("left", -8.0, 90.0), wall("right", 8.0, -90.0)]
+    text = bench(tmp_path, np.zeros((1, 3)), facing(60.0, 1.0), walls, pixels=(32, 24))
+    assembly, frame, field = rendered(assemble, text)
+    # Images of the source 16 mm apart: those of the first 31 reflections, and all that there are.
+    targets, images = assembly.detector.points(), np.arange(-2000, 2001)
+    waves = [spherical(np.array([16.0 * n, 0.0, 0.0]), targets, WAVELENGTH) for n in images]
+    followed, whole = (
+        np.sum([wave for n, wave in zip(images, waves, strict=True) if abs(n) <= most], axis=0) for most in (31, 2000)
+    )
+    found = field / frame.scatterers.amplitude[0]
+    turn = np.vdot(found, followed)
+    found = found * turn / abs(turn)
+    assert np.linalg.norm(found - followed) <= FIELD * np.linalg.norm(followed)
+    assert any("ways over more than 31 surfaces" in line for line in frame.plan)
+    assert np.linalg.norm(found - whole) <= frame.numerical_error * np.linalg.norm(followed) * 1.5

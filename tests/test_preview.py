@@ -67,8 +67,8 @@ def test_a_lens_is_drawn_with_its_profile_and_a_stop_with_its_hole(shipped):
             x, y, z = face.frame.to_local(outline.points).T
             on_face = np.abs(z - face.sag(x, y)) < ROUNDING
             assert np.count_nonzero(on_face) >= len(outline.points) // 2
-        gaps = [np.linalg.norm(line.points - stop.faces[0].frame.origin, axis=1) for line in part(layout, stop.name).lines[view]]
-        radius = stop.faces[0].outline.radius
+        middle, radius = stop.faces[0].frame.origin, stop.faces[0].outline.radius
+        gaps = [np.linalg.norm(line.points - middle, axis=1) for line in part(layout, stop.name).lines[view]]
         assert len(gaps) == 2 and all(abs(gap.min() - radius) < 0.02 * radius for gap in gaps)
         assert all(abs(gap.max() - stop.screen_radius) < ROUNDING for gap in gaps)
 
@@ -92,7 +92,8 @@ def test_every_shipped_scene_is_drawn(mitsuba, tmp_path, name):
 def test_drawing_as_svg_names_every_part_and_warns_of_dark_ways(mitsuba, tmp_path, capsys):
     scene = tmp_path / "dark.xml"
     text = Path(SCENES / "integrated_sensor.xml").read_text()
-    wall = '<shape type="rectangle" id="wall"><transform name="to_world"><scale value="30"/><translate z="60"/></transform>'
+    place = '<transform name="to_world"><scale value="30"/><translate z="60"/></transform>'
+    wall = f'<shape type="rectangle" id="wall">{place}'
     scene.write_text(text.replace("</scene>", wall + '<bsdf type="diffuse"/></shape></scene>'))
     assert command(main, [str(scene), "-o", str(tmp_path / "f.svg")]) == DONE
     assert "warning: no light reaches the detector: most test rays end at" in capsys.readouterr().out

@@ -105,12 +105,27 @@ def make_plan(setup: Setup) -> Plan:
     strengths = [strength_of(setup, one.route, one.interactions, one.grid, spots) for one in bare]
     lit = arrivals.in_area and any(strength.lit for strength in strengths)
     channels, stages = _channels(setup, bare, strengths) if lit else ([_channel(setup, one) for one in bare], [])
+    if arrivals.goes_on:
+        stages.append(_further_ways(bare, strengths))
     stages = [*(stage for channel in channels for stage in channel.stages), *stages]
     warnings = tuple(f"{one.name}: {one.note}" for one in setup.assembly.elements if one.note)
     if not lit:
         stages.append(Stage(BESIDE))
         warnings += (f"no geometric light reaches the detector: {blocker}",)
     return Plan(tuple(channels), tuple(stages), warnings)
+
+
+def _further_ways(bare: list[Channel], strengths: list[Strength]) -> Stage:
+    """A stage on ways over more surfaces than are looked into, as between two mirrors that face each other.
+
+    Their light falls as the inverse of the number n of surfaces: beyond N of them the sum of 1/n^2 is 1/N, so that
+    they amount to sqrt(N) times those of N surfaces.
+    """
+    straight = max(strength.amplitude for strength in strengths)
+    longest = max(len(channel.route.steps) for channel in bare)
+    last = [s.amplitude for channel, s in zip(bare, strengths, strict=True) if len(channel.route.steps) == longest]
+    error = min(1.0, float(np.sqrt(longest * np.sum(np.square(last)))) / straight)
+    return Stage(OTHER_WAY, way=f"ways over more than {longest} surfaces", predicted_error=error)
 
 
 def _is_devious(channel: Channel) -> bool:

@@ -53,12 +53,13 @@ class Arrivals:
     """What became of the light.
 
     routes: those of most rays first; in_area: whether they end in the detector's area or only in its plane; stopped:
-    how many test rays each element ended.
+    how many test rays each element ended; goes_on: whether there are more routes than were looked into.
     """
 
     routes: tuple[Route, ...]
     in_area: bool
     stopped: Counter
+    goes_on: bool = False
 
 
 def find_routes(setup: Setup, spots: np.ndarray) -> Arrivals:
@@ -71,7 +72,7 @@ def find_routes(setup: Setup, spots: np.ndarray) -> Arrivals:
     routes = [_route(setup, path) for path in paths.to_detector()]
     routes = sorted(_distinct(routes), key=lambda route: -route.rays)
     if routes:
-        return Arrivals(tuple(routes), True, paths.stopped)
+        return Arrivals(tuple(routes), True, paths.stopped, paths.goes_on)
     beside = [_route(setup, (chain,)) for chain in paths.beside()]
     return Arrivals(tuple(beside), False, paths.stopped)
 
@@ -83,7 +84,7 @@ class _Paths:
         self._meetings = meetings
         self._first = Search(meetings, Start(spots, normal=front))
         self._searches: dict[tuple[int, int, Place], Search] = {}
-        self.stopped = self._first.stopped
+        self.stopped, self.goes_on = self._first.stopped, False
 
     def to_detector(self) -> list[tuple[Chain, ...]]:
         """All paths, each a chain from the spot to an opening, from there to the next, and to the detector."""
@@ -91,7 +92,9 @@ class _Paths:
         for path in self._longer((), self._first):
             found.append(path)
             if len(found) >= MOST_ROUTES:
+                self.goes_on = True
                 break
+        self.goes_on |= any(search.goes_on for search in (self._first, *self._searches.values()))
         return found
 
     def beside(self) -> list[Chain]:

@@ -114,7 +114,7 @@ class _Sequence:
     @property
     def last_place(self) -> np.ndarray:
         """(3,) where its light comes from."""
-        return self.interactions[-1].place if self.interactions else self.starts[0][0]
+        return self.interactions[-1].place
 
     @property
     def is_closed(self) -> bool:
@@ -128,8 +128,7 @@ class _Sequence:
 class Search:
     """Everything that light from one start can do up to the next opening or the detector.
 
-    chains: the ways found; stopped: how many rays each element ended; beside: sequences whose rays pass the detector
-    by.
+    chains: the ways found; stopped: how many rays each element ended; beside: sequences that pass the detector by.
     """
 
     def __init__(self, meetings: Meetings, start: Start) -> None:
@@ -137,6 +136,7 @@ class Search:
         self._grid = meetings.detector
         self._longest = max(MAX_INTERACTIONS, 2 * sum(len(element.faces) for element in meetings.elements))
         self.stopped: Counter = Counter()
+        self._given_up = False
         self._sequences: dict[tuple[Step, ...], _Sequence] = {}
         self._arrived: dict[tuple, list[tuple[np.ndarray, np.ndarray]]] = {}
         self._waiting: list[_Sequence] = []
@@ -144,6 +144,12 @@ class Search:
         self._send(start.points, self._first_targets())
         while self._waiting:
             self._aim_from(self._waiting.pop(0))
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether ways to the detector go on over more surfaces than are looked into."""
+        ends = [len(steps) for steps, end, _ in self._arrived if end is None]
+        return self._given_up and max(ends, default=0) >= max(map(len, self._sequences)) - 2
 
     def chains(self) -> list[Chain]:
         """The ways that were found, those of most rays first."""
@@ -238,7 +244,8 @@ class Search:
             np.abs(result.optical_path_length / interaction.index_before - distance) < 1e3 * COINCIDENT
         )
         self.stopped[element.name] += int(np.count_nonzero(~good & ~total))
-        for chosen, what, to in ((good, interaction, inside), (total, _mirror(interaction), sequence.inside)):
+        mirrored = Interaction.reflect(interaction.surface, interaction.index_before, interaction.root)
+        for chosen, what, to in ((good, interaction, inside), (total, mirrored, sequence.inside)):
             if not np.any(chosen):
                 continue
             step = (number, face, what.action, what.root)
@@ -267,6 +274,7 @@ class Search:
         """The sequence of these steps; None where it is not looked into any more."""
         if steps not in self._sequences:
             if len(self._sequences) >= MOST_SEQUENCES or len(steps) >= self._longest:
+                self._given_up = True
                 return None
             if self._bounces(steps) or self._is_trapped(interactions):
                 return None
@@ -390,8 +398,3 @@ class Search:
 
     def _rays_of(self, sequence: _Sequence) -> tuple[np.ndarray, np.ndarray]:
         return np.concatenate(sequence.starts), np.concatenate(sequence.launches)
-
-
-def _mirror(interaction: Interaction) -> Interaction:
-    """Total reflection inside the glass, at a face that light does not leave by."""
-    return Interaction.reflect(interaction.surface, interaction.index_before, interaction.root)
