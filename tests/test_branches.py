@@ -101,3 +101,18 @@ def test_ways_to_and_fro_between_two_mirrors_are_followed_and_what_is_beyond_is_
     assert np.linalg.norm(found - followed) <= FIELD * np.linalg.norm(followed)
     assert any("ways over more than 31 surfaces" in line for line in frame.plan)
     assert np.linalg.norm(found - whole) <= frame.numerical_error * np.linalg.norm(followed) * 1.5
+
+
+def test_weak_ways_that_cannot_be_done_are_left_out_and_counted(assemble, tmp_path):
+    def wall(name, x, turn):
+        axes = rotation_matrix(np.radians([0.0, turn, 0.0]))
+        return element_xml("rectangle", name, Frame(np.array([x, 0.0, 30.0]), axes), MIRROR, size=(40, 40, 1))
+
+    # Over many reflections rays come by a mirror's edge, an integral over 80 mm of which is out of reach.
+    walls = [wall("left", -8.0, 90.0), wall("right", 8.0, -90.0)]
+    text = bench(tmp_path, np.zeros((1, 3)), facing(60.0, 1.0), walls, pixels=(16, 12))
+    _, frame, _ = rendered(assemble, text)
+    left_out = [stage for stage in frame.stages if stage.kind == "other way" and stage.way.startswith("target - ")]
+    assert left_out and all(0 < stage.predicted_error <= 0.5 for stage in left_out)
+    amount = np.sqrt(sum(stage.predicted_error**2 for stage in left_out))
+    assert frame.numerical_error >= 0.9 * amount and frame.warnings

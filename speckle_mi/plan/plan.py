@@ -17,15 +17,16 @@ from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.unfold import unfold
 from ..propagation.coherent_sum import CERTAINTY
-from ..propagation.opening_quadrature import estimated_nodes
+from ..propagation.opening_quadrature import MOST_NODES, estimated_nodes
 from .setup import Setup
 from ..scene.errors import SceneError
 from .branches import branches_of, has_other_rays
-from .cost import opening_cost
+from .cost import expected_scatterers, is_along_edge, opening_cost
 from .edges import SHARE, EdgeWave, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
 from .gradients import phase_gradients
 from .opening_shadows import (
+    has_shadow,
     hidden_pixels,
     rays_to_opening,
     shapes_before,
@@ -62,6 +63,9 @@ from .stage import (
 )
 from .strength import Strength, reached_share, strength_of
 from .way import Channel, PhaseGradient, Rim, rims_of, with_slack
+
+_WEAK = 0.5
+"""Amplitude of a way, relative to the strongest one's, up to which it is left out rather than the scene refused."""
 
 _DETECTOR_SAMPLES = 9
 
@@ -142,8 +146,9 @@ def _channels(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> t
     """The ways of straight light and those that count beside it, and stages that say what the others amount to.
 
     A way of diffracted light alone is left out where the edges throw less than a share of the tolerance on the
-    detector, where no diffraction is asked for, or where its integral is not affordable or cannot be done; light that
-    is totally reflected inside a glass, as along the inside of a plate, beside light that is not.
+    detector, where no diffraction is asked for, or where its integral is not affordable or cannot be done; one of weak
+    straight light where it cannot be done; light that is totally reflected inside a glass, as along the inside of a
+    plate, beside light that is not.
     """
     options = setup.assembly.options
     straight = max(strength.amplitude for strength in strengths if strength.lit)
@@ -155,19 +160,40 @@ def _channels(setup: Setup, bare: list[Channel], strengths: list[Strength]) -> t
             share *= reached_share(channel, setup.spots)
             stages.append(Stage(OTHER_WAY, way=channel.route.label, predicted_error=share))
         elif strength.lit:
-            kept.append(_channel(setup, channel))
+            # Branches of one way may meet in a caustic, where none of them is weak.
+            needed = share > _WEAK or len(channel.branches) > 1
+            planned = _channel(setup, channel) if needed else _possible(setup, channel)
+            if planned:
+                kept.append(planned)
+            else:
+                stages.append(Stage(OTHER_WAY, way=channel.route.label, predicted_error=share))
         elif options.diffraction and options.method != "rays":
             counts = share > SHARE * options.tolerance and all_affordable(setup, channel, setup.spots)
-            try:
-                planned = _channel(setup, channel) if counts else None
-            except SceneError:
-                planned = None
+            planned = _possible(setup, channel) if counts else None
             if planned:
                 kept.append(planned)
             else:
                 names = tuple(rim.name for rim in channel.rims if rim.is_screen)
                 stages.append(Stage(OTHER_WAY, names, way=channel.route.label, predicted_error=share))
     return kept, stages
+
+
+def _possible(setup: Setup, bare: Channel) -> Channel | None:
+    """A way with what is done for it, None where it cannot be done or its openings need too many nodes."""
+    try:
+        channel = _channel(setup, bare)
+    except SceneError:
+        return None
+    if not channel.openings or (
+        is_along_edge(channel, expected_scatterers(setup.assembly), channel.grid.size)
+        and not has_shadow(channel, channel.openings[0], setup.spots, setup.frame.axes)
+    ):
+        return channel
+    nodes = [
+        estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt)
+        for rim, gradient in zip(channel.openings, channel.gradients, strict=False)
+    ]
+    return channel if max(nodes, default=0.0) < 0.5 * MOST_NODES else None
 
 
 def _main_blocker(stopped) -> str:
