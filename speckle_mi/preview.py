@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import add_detector, command, say, scene_parser
-from .errors import InputError
-
-ENDINGS = (".png", ".svg")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -21,12 +18,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from dataclasses import replace
 
     from .geometry.pose import Pose
-    from .machine.files import require_distinct, require_output
+    from .machine.files import require_distinct, require_picture
     from .scene.load import open_scene
 
-    if Path(options.output).suffix.lower() not in ENDINGS:
-        raise InputError(f"-o {options.output}: must end in {' or '.join(ENDINGS)}")
-    require_output(options.output, Path(options.output).suffix)
+    require_picture(options.output)
     require_distinct(SCENE=options.scene, output=options.output)
     scene = open_scene(options.scene, options.defaults, options.variant)
     from .experiments.layout import layout_of

@@ -7,9 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import command, parser, say
-from .errors import InputError
-
-ENDINGS = (".png", ".svg")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -21,15 +18,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = made.parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
     from .images.pictures import read_image
-    from .machine.files import require_distinct, require_output
+    from .machine.files import require_distinct, require_picture
     from .machine.quiet import muted
     from .measurement.covariance import checked_image
     from .measurement.field_statistics import field_statistics
 
     if options.output is not None:
-        if Path(options.output).suffix.lower() not in ENDINGS:
-            raise InputError(f"-o {options.output}: must end in {' or '.join(ENDINGS)}")
-        require_output(options.output, Path(options.output).suffix)
+        require_picture(options.output)
         require_distinct(image=options.image, output=options.output)
     with muted():  # OpenEXR prints what is damaged in pictures of other programs, besides the error it raises
         image = read_image(options.image, None, options.channel)

@@ -63,6 +63,11 @@ def path(surfaces: Sequence[dict], origin, direction, front: float, end: float):
         return length + index * t, (float(p[0] + t * d[0]), float(p[1] + t * d[1]))
 
 
+def with_index(surfaces: Sequence[dict], index: float) -> list[dict]:
+    """The same lens of glass of an index."""
+    return [one | ({"after": (one["after"][0], index)} if "after" in one else {}) for one in surfaces]
+
+
 def reversed_lens(surfaces: Sequence[dict]) -> list[dict]:
     """The same lens turned round."""
     gaps = [surface["after"] for surface in surfaces[:-1]][::-1] + [(0, 1)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import mpmath
 import numpy as np
 import pytest
-from exact_lenses import focal_length, parameters_of, reversed_lens, sag
+from exact_lenses import focal_length, parameters_of, reversed_lens, sag, with_index
 from exact_optics import Refractor, bench, element_xml, facing, fermat, rendered_unit, thin_lens_start
 from scene_builder import direction, frame_along
 from test_lens import FIELD_TOLERANCE, FRONT, WAVELENGTH, check_paths, element_of
@@ -31,14 +31,10 @@ ASPHERES = {
 }  # fmt: skip
 
 
-def lens_at(name: str, index: float) -> list[dict]:
-    return [one | ({"after": (one["after"][0], index)} if "after" in one else {}) for one in ASPHERES[name]]
-
-
 @pytest.mark.parametrize("index", INDICES)
 @pytest.mark.parametrize("name", ASPHERES)
 def test_paths_through_an_asphere_are_exact_on_and_off_axis_both_ways_round(mitsuba, name, index):
-    surfaces = lens_at(name, index)
+    surfaces = with_index(ASPHERES[name], index)
     check_paths(element_of(mitsuba, surfaces), surfaces)
     check_paths(element_of(mitsuba, surfaces, reverse=True), reversed_lens(surfaces))
 
@@ -61,7 +57,7 @@ class Aspheric(Refractor):
 
 @pytest.mark.parametrize("name", ["moulded asphere", "two aspheres"])
 def test_field_through_an_asphere_is_that_of_fermats_path(tmp_path, assemble, name):
-    surfaces, source, z, refractors = lens_at(name, 1.5151), np.array([0.4, -0.3, 0.0]), FRONT, []
+    surfaces, source, z, refractors = with_index(ASPHERES[name], 1.5151), np.array([0.4, -0.3, 0.0]), FRONT, []
     for one in surfaces:
         thickness, index = one.get("after", (0.0, 1.0))
         curvature = 1 / one["radius"] if one["radius"] else 0.0
@@ -198,6 +194,6 @@ def test_field_over_an_aspheric_mirror_is_that_over_the_paraboloid_it_stands_for
     ({"aspheric3": "1e-9"}, "'thickness2' is missing"),
 ])  # fmt: skip
 def test_aspheric_numbers_that_cannot_be_are_refused(mitsuba, change, message):
-    values = {"type": "lens", "diameter": 22.0} | parameters_of(lens_at("moulded asphere", 1.5)) | change
+    values = {"type": "lens", "diameter": 22.0} | parameters_of(with_index(ASPHERES["moulded asphere"], 1.5)) | change
     with pytest.raises(RuntimeError, match=message):
         mitsuba.load_dict(values)

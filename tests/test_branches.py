@@ -51,6 +51,22 @@ def reflected(source, place):
     return found
 
 
+def in_phase(found, expected):
+    """``found`` turned by the one phase that brings it closest to ``expected``."""
+    turn = np.vdot(found, expected)
+    return found * turn / abs(turn)
+
+
+def facing_walls():
+    """Two plane mirrors of 80 mm that face each other at 16 mm."""
+    places = (("left", -8.0, 90.0), ("right", 8.0, -90.0))
+    return [
+        element_xml("rectangle", name, Frame(np.array([x, 0.0, 30.0]), rotation_matrix(np.radians([0.0, turn, 0.0]))),
+                    MIRROR, size=(40, 40, 1))
+        for name, x, turn in places
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize(
     ("source", "detector", "direct", "branches"),
     [
@@ -74,20 +90,13 @@ def test_each_part_of_a_hollow_sphere_that_lights_a_pixel_is_a_way(
         arrived = [amplitude for ray, amplitude in reflected(source, place) if ray @ normal < 0]
         assert len(arrived) == branches
         expected[k] += sum(arrived)
-    found = field / frame.scatterers.amplitude[0]
-    turn = np.vdot(found, expected)
-    found = found * turn / abs(turn)
+    found = in_phase(field / frame.scatterers.amplitude[0], expected)
     assert np.linalg.norm(found - expected) <= FIELD * np.linalg.norm(expected)
     assert any(line.startswith("left out: target - bowl - bowl") for line in frame.plan), "light goes on to and fro"
 
 
 def test_ways_to_and_fro_between_two_mirrors_are_followed_and_what_is_beyond_is_counted(assemble, tmp_path):
-    def wall(name, x, turn):
-        axes = rotation_matrix(np.radians([0.0, turn, 0.0]))
-        return element_xml("rectangle", name, Frame(np.array([x, 0.0, 30.0]), axes), MIRROR, size=(40, 40, 1))
-
-    walls = [wall("left", -8.0, 90.0), wall("right", 8.0, -90.0)]
-    text = bench(tmp_path, np.zeros((1, 3)), facing(60.0, 1.0), walls, pixels=(32, 24))
+    text = bench(tmp_path, np.zeros((1, 3)), facing(60.0, 1.0), facing_walls(), pixels=(32, 24))
     assembly, frame, field = rendered(assemble, text)
     # Images of the source 16 mm apart: those of the first 31 reflections, and all that there are.
     targets, images = assembly.detector.points(), np.arange(-2000, 2001)
@@ -95,22 +104,15 @@ def test_ways_to_and_fro_between_two_mirrors_are_followed_and_what_is_beyond_is_
     followed, whole = (
         np.sum([wave for n, wave in zip(images, waves, strict=True) if abs(n) <= most], axis=0) for most in (31, 2000)
     )
-    found = field / frame.scatterers.amplitude[0]
-    turn = np.vdot(found, followed)
-    found = found * turn / abs(turn)
+    found = in_phase(field / frame.scatterers.amplitude[0], followed)
     assert np.linalg.norm(found - followed) <= FIELD * np.linalg.norm(followed)
     assert any("ways over more than 31 surfaces" in line for line in frame.plan)
     assert np.linalg.norm(found - whole) <= frame.numerical_error * np.linalg.norm(followed) * 1.5
 
 
 def test_weak_ways_that_cannot_be_done_are_left_out_and_counted(assemble, tmp_path):
-    def wall(name, x, turn):
-        axes = rotation_matrix(np.radians([0.0, turn, 0.0]))
-        return element_xml("rectangle", name, Frame(np.array([x, 0.0, 30.0]), axes), MIRROR, size=(40, 40, 1))
-
     # Over many reflections rays come by a mirror's edge, an integral over 80 mm of which is out of reach.
-    walls = [wall("left", -8.0, 90.0), wall("right", 8.0, -90.0)]
-    text = bench(tmp_path, np.zeros((1, 3)), facing(60.0, 1.0), walls, pixels=(16, 12))
+    text = bench(tmp_path, np.zeros((1, 3)), facing(60.0, 1.0), facing_walls(), pixels=(16, 12))
     _, frame, _ = rendered(assemble, text)
     left_out = [stage for stage in frame.stages if stage.kind == "other way" and stage.way.startswith("target - ")]
     assert left_out and all(0 < stage.predicted_error <= 0.5 for stage in left_out)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from exact_lenses import parameters_of, reversed_lens
+from exact_lenses import parameters_of, reversed_lens, with_index
 from exact_optics import Refractor, bench, element_xml, facing, fermat, rendered_unit
 from test_elements import triangles, volume
 from test_lens import FIELD_TOLERANCE, FRONT, WAVELENGTH, check_paths, element_of
@@ -28,14 +28,10 @@ LENSES = {
 }  # fmt: skip
 
 
-def lens_at(name: str, index: float) -> list[dict]:
-    return [one | ({"after": (one["after"][0], index)} if "after" in one else {}) for one in LENSES[name]]
-
-
 @pytest.mark.parametrize("index", INDICES)
 @pytest.mark.parametrize("name", LENSES)
 def test_paths_through_a_cylinder_lens_are_exact_on_and_off_axis_both_ways_round(mitsuba, name, index):
-    surfaces = lens_at(name, index)
+    surfaces = with_index(LENSES[name], index)
     check_paths(element_of(mitsuba, surfaces), surfaces)
     check_paths(element_of(mitsuba, surfaces, reverse=True), reversed_lens(surfaces))
 
@@ -60,7 +56,7 @@ class Cylindrical(Refractor):
 
 @pytest.mark.parametrize("name", LENSES)
 def test_field_through_a_cylinder_lens_is_that_of_fermats_path(tmp_path, assemble, name):
-    surfaces, source, z, refractors = lens_at(name, 1.5151), np.array([0.4, -0.3, 0.0]), FRONT, []
+    surfaces, source, z, refractors = with_index(LENSES[name], 1.5151), np.array([0.4, -0.3, 0.0]), FRONT, []
     for one in surfaces:
         thickness, index = one.get("after", (0.0, 1.0))
         curvature, place = 1 / one["radius"] if one["radius"] else 0.0, np.array([0.0, 0, z])
@@ -83,7 +79,7 @@ def test_field_through_a_cylinder_lens_is_that_of_fermats_path(tmp_path, assembl
 
 @pytest.mark.parametrize("name", LENSES)
 def test_the_mesh_of_a_cylinder_lens_is_closed_and_holds_its_glass(mitsuba, name):
-    surfaces = lens_at(name, 1.5)
+    surfaces = with_index(LENSES[name], 1.5)
     values = {"type": "lens", "diameter": 22.0} | parameters_of(surfaces)
     corners = triangles(mitsuba.load_dict(values))
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -97,7 +93,7 @@ def test_the_mesh_of_a_cylinder_lens_is_closed_and_holds_its_glass(mitsuba, name
 
 def test_the_edge_of_a_cylinder_lens_follows_its_rim(mitsuba):
     """Plano-convex along x: on the x axis the edge is shorter by the sag than on the y axis."""
-    values = {"type": "lens", "diameter": 22.0} | parameters_of(lens_at("plano-convex along x", 1.5))
+    values = {"type": "lens", "diameter": 22.0} | parameters_of(with_index(LENSES["plano-convex along x"], 1.5))
     faces = mitsuba.load_dict(values).element().faces
     sag = 40 - np.sqrt(40**2 - 11**2)
     starts = np.array([[-20.0, 0, sag - 0.01], [-20.0, 0, sag + 0.01], [0, -20.0, 0.01], [0, -20.0, 5.01]])
@@ -130,6 +126,6 @@ def test_derivatives_are_those_of_the_height():
     ({"radius1": 10.0}, "'diameter' is 22 mm, must be at most 20 mm"),
 ])  # fmt: skip
 def test_cylinders_that_cannot_be_are_refused(mitsuba, change, message):
-    values = {"type": "lens", "diameter": 22.0} | parameters_of(lens_at("plano-convex along x", 1.5)) | change
+    values = {"type": "lens", "diameter": 22.0} | parameters_of(with_index(LENSES["plano-convex along x"], 1.5)) | change
     with pytest.raises(RuntimeError, match=message):
         mitsuba.load_dict(values)

@@ -118,8 +118,7 @@ def _detector(name: str, assembly: Assembly, axes: np.ndarray) -> Part:
 def _element(element: Element, axes: np.ndarray) -> Part:
     place = np.mean([face.middle for face in element.faces], axis=0) if element.faces else element.body.bounds.mean(0)
     if element.closed:
-        face = element.faces[0]
-        place = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+        place = element.faces[0].centre_of_curvature
     return Part(element.name, element.kind, tuple(_section(element, axes, view) for view in (0, 1)), place)
 
 
@@ -130,7 +129,7 @@ def _section(element: Element, axes: np.ndarray, view: int) -> tuple[Line, ...]:
         return (_hull(_corners(element.body), axes, view),)
     if element.closed:
         face = element.faces[0]
-        radius, centre = 1 / abs(face.curvature), face.frame.origin + face.frame.axes[:, 2] / face.curvature
+        radius, centre = 1 / abs(face.curvature), face.centre_of_curvature
         angle = np.linspace(0, 2 * np.pi, 4 * _ALONG_PROFILE)
         circle = np.outer(np.cos(angle), axes[:, 0]) + np.outer(np.sin(angle), axes[:, 1 + view])
         return (Line(centre + radius * circle, closed=element.kind == "glass"),)

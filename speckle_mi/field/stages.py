@@ -15,10 +15,9 @@ from ..geometry.plane import PlaneGrid, PlanePoints
 from ..optics.aim import aim
 from ..optics.sequence import Interaction, Sequence, amplitude_of, detector_plane
 from ..optics.traced_path import TracedLeg
-from ..plan.cost import is_along_edge
 from ..plan.places import FINE, detector_places, hole_places
 from ..plan.setup import Setup
-from ..plan.opening_shadows import has_shadow, lit_nodes
+from ..plan.opening_shadows import has_shadow, is_summed_along_edge, lit_nodes
 from ..plan.shadows import (
     SHADOWS_ON_DETECTOR,
     SHADOWS_ON_OPENING,
@@ -74,10 +73,8 @@ def channel_field(
     """
     if not channel.openings:
         return _without_openings(setup, scatterers, channel, grid, lobe)
-    if lobe is None and is_along_edge(channel, scatterers.count, grid.size):
-        rim = channel.openings[0]
-        if not has_shadow(channel, rim, scatterers.position, setup.frame.axes):
-            return _along_edge(setup, scatterers, channel, grid, rim)
+    if is_summed_along_edge(setup, channel, scatterers.position, scatterers.count, grid.size):
+        return _along_edge(setup, scatterers, channel, grid, channel.openings[0])
     options, wavelength = setup.assembly.options, setup.assembly.beam.wavelength
     sources, weights, opening = scatterers.position, scatterers.amplitude, None
     how, tolerance = (wavelength, options.method), max(options.tolerance / (len(channel.openings) + 1), 1e-8)

@@ -19,6 +19,9 @@ from .fragments import fragment_name, remove_abandoned
 
 from ..errors import InputError
 
+DRAWINGS = (".png", ".svg")
+"""Endings of what is drawn."""
+
 
 def require_output(path: str | os.PathLike, suffix: str = "") -> None:
     """Raises OSError when no file can be written at ``path``, InputError when it ends other than in ``suffix``.
@@ -31,6 +34,13 @@ def require_output(path: str | os.PathLike, suffix: str = "") -> None:
     folder = Path(os.path.realpath(path)).parent
     _require_writable(folder)
     remove_abandoned(folder)
+
+
+def require_picture(path: str | os.PathLike) -> None:
+    """Raises InputError where ``path``, that ``-o`` gives, names no drawing, else as :func:`require_output`."""
+    if Path(path).suffix.lower() not in DRAWINGS:
+        raise InputError(f"-o {path}: must end in {' or '.join(DRAWINGS)}")
+    require_output(path)
 
 
 def for_part(path: str | os.PathLike, part: str) -> Path:

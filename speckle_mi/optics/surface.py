@@ -91,6 +91,11 @@ class Surface:
         x, y = self.outline.centre
         return self.frame.to_world(np.array([[x, y, self.sag(x, y)]]))[0]
 
+    @property
+    def centre_of_curvature(self) -> np.ndarray:
+        """World point (3,) that the surface is curved about at its vertex; a plane has none."""
+        return self.frame.origin + self.frame.axes[:, 2] / self.curvature
+
     def sag(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Height (n,) [mm] above the vertex plane at local x, y (n,) [mm].
 

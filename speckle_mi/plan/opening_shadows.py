@@ -17,6 +17,7 @@ from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
+from .cost import is_along_edge
 from .fresnel import fresnel_parameter
 from .places import FINE, hole_places
 from .setup import Setup
@@ -55,6 +56,21 @@ def has_shadow(channel: Channel, rim: Rim, sources: np.ndarray, axes: np.ndarray
     return bool(channel.cut_by) or not clear
 
 
+def is_summed_along_edge(
+    setup: Setup, channel: Channel, sources: np.ndarray, scatterers: float, pixels: int
+) -> bool:
+    """Whether the integral over the one opening of a way is done along its edge, for scatterers at sources (n, 3).
+
+    scatterers, pixels: how many, which tells what takes less time. The edge's formula is that of even radiation and
+    of an opening without shadows on it.
+    """
+    return (
+        setup.assembly.target.lobe is None
+        and is_along_edge(channel, scatterers, pixels)
+        and not has_shadow(channel, channel.openings[0], sources, setup.frame.axes)
+    )
+
+
 def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Clearances (r, n) of the rims not diffracted at on rays from sources over points of an opening, (n, 3) each."""
     chosen = {opening.number for opening in channel.openings}
@@ -73,29 +89,23 @@ def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.n
     return clearance
 
 
-def shapes_before(setup: Setup, channel: Channel) -> tuple[str, ...]:
-    """Names of shapes that cut the light on its way from the spot to the first opening."""
-    rays = rays_to_opening(setup, channel)
-    return tuple(dict.fromkeys(_in_the_way(setup, rays)))
-
-
 def rays_to_opening(setup: Setup, channel: Channel) -> WayRays:
     """Rays from the spot to places all over the first opening."""
-    part, ends = WayPart.between(channel, None, channel.openings[0]), hole_places(channel.openings[0].plane, *FINE)
-    return WayRays(part, part.rays(*all_pairs(setup.spots, ends))[0])
+    first = channel.openings[0]
+    return WayRays.over(WayPart.between(channel, None, first), setup.spots, hole_places(first.plane, *FINE))
 
 
 def shapes_between_openings(setup: Setup, channel: Channel) -> list[str]:
     """Names of shapes that cut the light on its way from the first opening to the last."""
     names = []
     for first, second in pairwise(channel.openings):
-        part = WayPart.between(channel, first, second)
         places = (hole_places(rim.plane, *FINE) for rim in (first, second))
-        names += _in_the_way(setup, WayRays(part, part.rays(*all_pairs(*places))[0]))
+        names += shapes_in_the_way(setup, WayRays.over(WayPart.between(channel, first, second), *places))
     return names
 
 
-def _in_the_way(setup: Setup, rays: WayRays) -> list[str]:
+def shapes_in_the_way(setup: Setup, rays: WayRays) -> list[str]:
+    """Names of shapes that may stand in rays, not all of which are free; none where all are."""
     free = np.all(rays.part.unblocked(setup, rays.points))
     return [] if free else rays.part.shapes_beside(setup, rays.points)
 

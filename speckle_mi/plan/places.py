@@ -53,7 +53,7 @@ def on_face(face: Surface, closed: bool, share: np.ndarray) -> np.ndarray:
         z = 1 - number / count
         angle = np.pi * (1 + 5**0.5) * number
         ring = np.sqrt(1 - z * z)
-        centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+        centre = face.centre_of_curvature
         return centre + np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1) / abs(face.curvature)
     # A square of shares on a round face: its corners are drawn in to the rim.
     disc = share * (np.maximum(np.abs(share).max(axis=1), 1e-300) / np.maximum(np.hypot(*share.T), 1e-300))[:, None]
@@ -80,7 +80,7 @@ def plane_at(
         plane = Surface(Frame(face.frame.origin + sag * face.frame.axes[:, 2], face.frame.axes))
         return plane, on_plane(plane.frame, 0.9 * np.array(face.outline.half_size), share, face.outline.centre)
     radius = 1 / abs(face.curvature)
-    centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+    centre = face.centre_of_curvature
     axis = (centre - seen_from) / max(np.linalg.norm(centre - seen_from), 1e-300)
     plane = Surface(Frame(centre, axes_along(axis)))
     return plane, on_plane(plane.frame, 0.9 * np.array([radius, radius]), share, (0.0, 0.0))

@@ -21,16 +21,16 @@ from ..propagation.opening_quadrature import MOST_NODES, estimated_nodes
 from .setup import Setup
 from ..scene.errors import SceneError
 from .branches import branches_of, has_other_rays
-from .cost import expected_scatterers, is_along_edge, opening_cost
+from .cost import expected_scatterers, opening_cost
 from .edges import SHARE, EdgeWave, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
 from .gradients import phase_gradients
 from .opening_shadows import (
-    has_shadow,
     hidden_pixels,
+    is_summed_along_edge,
     rays_to_opening,
-    shapes_before,
     shapes_between_openings,
+    shapes_in_the_way,
     wave_on_opening,
 )
 from .relay import NEAR_CAUSTIC
@@ -41,7 +41,6 @@ from .shadows import (
     clearance_of_shapes,
     lit_pixels,
     rays_to_detector,
-    shapes_beside_way,
     wave_of_shadow,
 )
 from .stage import (
@@ -184,10 +183,8 @@ def _possible(setup: Setup, bare: Channel) -> Channel | None:
         channel = _channel(setup, bare)
     except SceneError:
         return None
-    if not channel.openings or (
-        is_along_edge(channel, expected_scatterers(setup.assembly), channel.grid.size)
-        and not has_shadow(channel, channel.openings[0], setup.spots, setup.frame.axes)
-    ):
+    scatterers, pixels = expected_scatterers(setup.assembly), channel.grid.size
+    if is_summed_along_edge(setup, channel, setup.spots, scatterers, pixels):
         return channel
     nodes = [
         estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt)
@@ -220,10 +217,12 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
     channel = replace(bare, openings=openings)
     if openings and setup.assembly.options.method != "rays":
         channel = replace(channel, gradients=_gradients(setup, channel))
-    if openings:
-        channel = replace(channel, hidden=hidden_pixels(setup, channel), cut_by=shapes_before(setup, channel))
+    to_opening = rays_to_opening(setup, channel) if openings else None
+    if to_opening:
+        cut_by = tuple(dict.fromkeys(shapes_in_the_way(setup, to_opening)))
+        channel = replace(channel, hidden=hidden_pixels(setup, channel), cut_by=cut_by)
     if setup.assembly.options.diffraction and setup.assembly.options.method != "rays":
-        stages += _edges_beside(setup, channel)
+        stages += _edges_beside(setup, channel, to_opening)
     left_out = [stage.predicted_error for stage in stages if stage.predicted_error is not None]
     return replace(
         channel,
@@ -243,14 +242,15 @@ def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
         ) from None
 
 
-def _edges_beside(setup: Setup, channel: Channel) -> list[Stage]:
+def _edges_beside(setup: Setup, channel: Channel, to_opening: WayRays | None) -> list[Stage]:
     """A stage on shapes that stand close to a way, or none; diffraction is computed only where light goes through.
 
     A shape that cuts the light casts its geometric shadow, on the first opening or, of a way without openings, on the
     detector, and the wave of its edge is stated. Raises SceneError where one cuts the light between openings.
+    to_opening: rays to the first opening, None for a way without.
     """
     spots = setup.spots
-    if channel.openings:
+    if to_opening:
         if names := shapes_between_openings(setup, channel):
             named = " or ".join(map(repr, dict.fromkeys(names)))
             raise SceneError(
@@ -260,8 +260,9 @@ def _edges_beside(setup: Setup, channel: Channel) -> list[Stage]:
             )
         if channel.cut_by:
             return [Stage(CUT, channel.cut_by, predicted_error=wave_on_opening(setup, channel))]
-        return _wave_beside(setup, rays_to_opening(setup, channel))
-    names = shapes_beside_way(setup, channel, spots)
+        return _wave_beside(setup, to_opening)
+    rays = rays_to_detector(channel, spots)
+    names = rays.part.shapes_beside(setup, rays.points)
     lit = np.array([*lit_pixels(setup, channel, spots, channel.grid, rims=False)] if names else [])
     if names and not np.any(lit):
         return []  # hidden altogether: stays dark
@@ -269,7 +270,7 @@ def _edges_beside(setup: Setup, channel: Channel) -> list[Stage]:
         length = float(np.linalg.norm(channel.grid.centre - spots[0]))
         step = fresnel_parameter(channel.grid.pitch, length, setup.assembly.beam.wavelength)
         return [Stage(CUT, tuple(dict.fromkeys(names)), predicted_error=wave_of_shadow(lit, step))]
-    return _wave_beside(setup, rays_to_detector(channel, spots))
+    return _wave_beside(setup, rays)
 
 
 def _wave_beside(setup: Setup, rays: WayRays) -> list[Stage]:

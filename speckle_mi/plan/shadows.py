@@ -140,17 +140,16 @@ def is_clear(setup: Setup, channel: Channel, sources: np.ndarray, axes: np.ndarr
     """Whether nothing casts a shadow on the detector, judged by the outermost rays."""
     if not (channel.rims or setup.assembly.elements):
         return True
-    part, starts, ends = _outer_rays(channel, extremes(sources, axes))
-    points, margins = part.rays(starts, ends)
-    return bool(np.all(margins > SAFE_MARGIN)) and not part.shapes_beside(setup, points)
+    rays = rays_to_detector(channel, extremes(sources, axes))
+    return bool(np.all(rays.margins > SAFE_MARGIN)) and not rays.part.shapes_beside(setup, rays.points)
 
 
 def shapes_beside_way(setup: Setup, channel: Channel, sources: np.ndarray) -> list[str]:
     """Names of the shapes that may stand in a way's light from sources (n, 3) to the detector without being on it."""
     if not setup.assembly.elements:
         return []
-    part, starts, ends = _outer_rays(channel, sources)
-    return part.shapes_beside(setup, part.rays(starts, ends)[0])
+    rays = rays_to_detector(channel, sources)
+    return rays.part.shapes_beside(setup, rays.points)
 
 
 def clearance_of_shapes(setup: Setup, rays: WayRays, counts: Callable[[float], bool]) -> tuple[float, list[str]]:
@@ -180,13 +179,7 @@ def _extent(setup: Setup, rays: WayRays) -> float:
 
 def rays_to_detector(channel: Channel, sources: np.ndarray) -> WayRays:
     """Rays of a way from all sources (n, 3) to places all over the detector."""
-    part, starts, ends = _outer_rays(channel, sources)
-    return WayRays(part, part.rays(starts, ends)[0])
-
-
-def _outer_rays(channel: Channel, sources: np.ndarray) -> tuple[WayPart, np.ndarray, np.ndarray]:
-    """The whole way, and starts and ends (n, 3) of rays from all sources to places all over the detector."""
-    return WayPart.whole(channel), *all_pairs(sources, detector_places(channel.grid))
+    return WayRays.over(WayPart.whole(channel), sources, detector_places(channel.grid))
 
 
 def lit_pixels(
@@ -326,10 +319,16 @@ class WayPart:
 
 @dataclass(frozen=True)
 class WayRays:
-    """Rays of a part of a way: their points (p, n, 3), ends included [mm]."""
+    """Rays of a part of a way: points (p, n, 3), ends included [mm], and margins (r, n), clearances of rims."""
 
     part: WayPart
     points: np.ndarray
+    margins: np.ndarray
+
+    @classmethod
+    def over(cls, part: WayPart, starts: np.ndarray, ends: np.ndarray) -> WayRays:
+        """From all of starts (n, 3) to all of ends (m, 3)."""
+        return cls(part, *part.rays(*all_pairs(starts, ends)))
 
 
 def _without_rim(interaction: Interaction, is_own: bool) -> Interaction:

@@ -85,7 +85,7 @@ class Element:
         """Whether a point (3,) lies inside the glass, by more than ``room``, relative to its size."""
         if self.closed:
             face = self.faces[0]
-            centre = face.frame.origin + face.frame.axes[:, 2] / face.curvature
+            centre = face.centre_of_curvature
             return float(np.linalg.norm(point - centre)) < (1 - room) / abs(face.curvature)
         if self.edged:
             layers = zip(self.faces, self.faces[1:], strict=False)
