@@ -34,7 +34,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
-    from .experiments.executor import InProcess
+    from .experiments.executor import FramesInProcess
     from .experiments.sweep import run_sweeps
     from .experiments.sweep_result import SweepResult, frame_count
     from .machine.files import require_folder
@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with keeping(keep):
         run_sweeps(
             assemblies, settings, folder / "frames", results, options.quiet, resume=not is_repeated,
-            executor=InProcess(simulations), pictures=options.images,
+            executor=FramesInProcess(simulations), pictures=options.images,
         )  # fmt: skip
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     found = {name: report.summarise(assembly, settings, results[name]) for name, assembly in assemblies.items()}

@@ -22,14 +22,14 @@ class FrameTask:
     shot: int = 0
 
 
-class Executor(Protocol):
+class FrameExecutor(Protocol):
     """Makes frames of the detectors of one scene somewhere."""
 
     def results(self, tasks: Iterable[FrameTask]) -> Iterator[dict[str, FrameResult]]:
         """The results of all tasks in their order, by detector, each as soon as it is there."""
 
 
-class InProcess:
+class FramesInProcess:
     """Makes frames one after the other in this process."""
 
     def __init__(self, simulations: Simulations) -> None:

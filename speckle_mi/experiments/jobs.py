@@ -64,14 +64,14 @@ class InProcess:
     """Does jobs one after the other in this process, in their order."""
 
     def __init__(self) -> None:
-        self._bench = Bench()
+        self._bench = Workplace()
 
     def results(self, jobs: Iterable[Job]) -> Iterator[tuple[Job, object]]:
         for job in jobs:
             yield job, self._bench.result(job)
 
 
-class Bench:
+class Workplace:
     """Where a process does jobs: keeps what the last few works have prepared."""
 
     def __init__(self) -> None:

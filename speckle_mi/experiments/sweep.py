@@ -24,7 +24,7 @@ from ..measurement.speckle_statistics import centre_of_gravity, contrast
 from ..scene.assembly import Assembly
 from ..version import __version__
 from .chief_ray import axes_as_seen
-from .executor import Executor, FrameTask, InProcess
+from .executor import FrameExecutor, FrameTask, FramesInProcess
 from .expectation import on_all_axes
 from .sweep_result import REFERENCE, FrameRecord, SweepResult, SweepSettings
 
@@ -60,7 +60,7 @@ def run_sweep(
     result: SweepResult,
     quiet: bool = False,
     resume: bool = False,
-    executor: Executor | None = None,
+    executor: FrameExecutor | None = None,
 ) -> None:
     """:func:`run_sweeps` of one detector, whose images have no name of its."""
     run_sweeps({"": assembly}, settings, frames, {"": result}, quiet, resume, executor)
@@ -73,7 +73,7 @@ def run_sweeps(
     results: Mapping[str, SweepResult],
     quiet: bool = False,
     resume: bool = False,
-    executor: Executor | None = None,
+    executor: FrameExecutor | None = None,
     pictures: str | None = None,
 ) -> None:
     """Makes all frames of a sweep of one or several detectors, adding to their ``results`` as it goes.
@@ -88,7 +88,7 @@ def run_sweeps(
     tables = {
         name: _Measurement(assembly, settings, results[name], len(planned)) for name, assembly in assemblies.items()
     }
-    executor = executor or InProcess(Simulations(assemblies))
+    executor = executor or FramesInProcess(Simulations(assemblies))
     made = executor.results(one.task for one in planned if one.task.name not in held)
     with images, progress_bars(quiet) as progress:
         bar = progress.add_task("frames", total=len(planned))
