@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import shlex
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -44,10 +45,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
     scene = open_scene(options.scene, options.defaults, options.variant)
     from .field.detectors import Simulations
+    from .experiments.layout import layout_of
     from .geometry.pose import Pose
     from .machine.run_times import duration
     from .plan.cost import WORTH_SAYING, require_affordable
     from .report import sweep_report as report
+    from .report.html_sweep import SweepReport, write_report
     from .scene.read import assemblies_from_scene
 
     assemblies = assemblies_from_scene(scene, options.detector)
@@ -83,9 +86,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     seconds = time.perf_counter() - start
     summaries = {name: summary | asked | {"seconds_total": seconds} for name, summary in found.items()}
     report.write_summary(folder / "summary.json", summaries)
+    line = shlex.join(["python", "-m", "speckle_mi.sweep", *(arguments or ())])
+    text = Path(options.scene).read_text(encoding="utf-8", errors="replace")
+    made = SweepReport(assemblies, settings, results, summaries, layout_of(assemblies), line, text)
+    write_report(folder / "report.html", made)
     if not options.quiet:
         report.print_summaries(summaries)
-        say(options, f"{folder}: frames, sweep.csv, summary.json and plots, {seconds:.1f} s in all")
+        say(options, f"{folder}: frames, sweep.csv, summary.json, plots and report.html, {seconds:.1f} s in all")
 
 
 def _parser():
@@ -187,6 +194,7 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
         for stale in (
             *(file for kind in ("exr", "png", "tiff") for file in folder.glob(f"frames/*.{kind}")),
             *folder.glob("*.png"),
+            folder / "report.html",
             folder / "summary.json",
             folder / "sweep.csv",
         ):

@@ -26,6 +26,7 @@ from ..version import __version__
 from .chief_ray import axes_as_seen
 from .executor import FrameExecutor, FrameTask, FramesInProcess
 from .expectation import on_all_axes
+from .slides import Slides
 from .sweep_result import REFERENCE, FrameRecord, SweepResult, SweepSettings
 
 _PENDING_WRITES = 8
@@ -86,7 +87,8 @@ def run_sweeps(
     images = _Images(frames, assemblies, pictures)
     held = {one.task.name for one in planned if resume and images.are_finished(one.task)}
     tables = {
-        name: _Measurement(assembly, settings, results[name], len(planned)) for name, assembly in assemblies.items()
+        name: _Measurement(assembly, settings, results[name], len(planned), 1 / len(assemblies))
+        for name, assembly in assemblies.items()
     }
     executor = executor or FramesInProcess(Simulations(assemblies))
     made = executor.results(one.task for one in planned if one.task.name not in held)
@@ -193,10 +195,13 @@ def _write_picture(path: Path, image: FieldImage, kind: str) -> None:
 class _Measurement:
     """Shifts of one detector's images against the one at rest of their surface, a record of each."""
 
-    def __init__(self, assembly: Assembly, settings: SweepSettings, result: SweepResult, count: int) -> None:
+    def __init__(
+        self, assembly: Assembly, settings: SweepSettings, result: SweepResult, count: int, share: float
+    ) -> None:
         self._assembly, self._settings, self._result = assembly, settings, result
         self._seen = axes_as_seen(assembly, plan_of(assembly))
         self._correlator: Correlator | None = None
+        result.slides = Slides(settings.dofs, settings.displacements, settings.seeds[0], share)
         result.axes_as_seen = {"u": self._seen.u.tolist(), "v": self._seen.v.tolist()}
         if self._seen.note:
             result.warnings[self._seen.note] = count
@@ -207,6 +212,8 @@ class _Measurement:
         if frame.dof == REFERENCE:
             self._correlator = Correlator(measured, self._settings.window)
             self._result.example = measured if self._result.example is None else self._result.example
+        dof = None if frame.dof == REFERENCE else frame.dof
+        self._result.slides.add(dof, frame.displacement, frame.task.seed, image)
         pixel = 1e3 * self._assembly.detector.pitch
         shift = self._correlator.shift(measured)
         along = on_all_axes(np.array([[shift.u_px], [shift.v_px]]) * pixel, self._assembly, self._seen)[:, 0]

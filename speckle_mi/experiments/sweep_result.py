@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from .slides import Slides
+
 REFERENCE = "reference"
 """``dof`` of the frames at rest in sweep.csv."""
 
@@ -50,7 +52,8 @@ class FrameRecord:
 class SweepResult:
     """All frames of a sweep in the order they were made, and what was noticed on the way.
 
-    axes_as_seen: the detector's axes u, v as the target sees them, on which shifts along x and y rest.
+    axes_as_seen: the detector's axes u, v as the target sees them, on which shifts along x and y rest. slides: small
+    pictures of the first surface.
     """
 
     records: list[FrameRecord] = field(default_factory=list)
@@ -59,6 +62,7 @@ class SweepResult:
     warnings: dict[str, int] = field(default_factory=dict)
     example: np.ndarray | None = None
     axes_as_seen: dict[str, list[float]] = field(default_factory=dict)
+    slides: Slides | None = None
     writes: list[Future] = field(default_factory=list)
 
     def note(self, header: dict) -> None:

@@ -142,7 +142,7 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 def write_json(path: str | os.PathLike, content: dict) -> None:
     """Writes JSON, whole or not at all; NaN and infinities become null."""
     with replacing(path) as temporary:
-        temporary.write_text(json.dumps(_plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(plain(content), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_csv(path: str | os.PathLike, names: Sequence[str], rows: Iterable[dict]) -> None:
@@ -153,14 +153,14 @@ def write_csv(path: str | os.PathLike, names: Sequence[str], rows: Iterable[dict
         writer.writerows(rows)
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """Content that JSON can hold: NumPy values as Python's, non-finite numbers as None."""
     if isinstance(value, dict):
-        return {str(name): _plain(item) for name, item in value.items()}
+        return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -49,7 +49,7 @@ def sensitivity_table(axes: tuple[str, str], summary: dict) -> tuple[list[str], 
     for dof, fitted in summary["fits"].items():
         row = [dof, sensitivity_unit(dof)]
         for axis in axes:
-            row += [_with_interval(fitted[axis]), number(fitted[axis].theory)]
+            row += [with_interval(fitted[axis]), number(fitted[axis].theory)]
         row.append(" / ".join(number(fitted[axis].scatter_um, "{:.1f}") for axis in axes))
         rows.append([*row, _paper_cell(comparison, dof, axes)] if published else row)
     return [*heads, *(["paper"] if published else [])], rows
@@ -78,7 +78,8 @@ def _paper_cell(comparison: dict, dof: str, axes: tuple[str, ...]) -> str:
     return f"|{entry['axis']}| {entry['paper']:g}" + ("?" if dof in comparison["notes"] else "")
 
 
-def _with_interval(fit: Sensitivity) -> str:
+def with_interval(fit: Sensitivity) -> str:
+    """A sensitivity with half its interval, in words."""
     if not math.isfinite(fit.value):
         return "not measured"
     low, high = fit.ci95

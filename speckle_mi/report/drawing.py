@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import os
+import re
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -21,6 +23,9 @@ FILLS = {"glass": "#CFE6F5", "detector": "#444444", "target": "#B5B5B5", "opaque
 EDGES = {"mirror": "#777777", "opening": "#000000", "glass": "#4A7FA7"}
 VIEWS = ("from the side: target's x upwards [mm]", "from above: target's y upwards [mm]")
 
+_METADATA = ("Creator", "Date", "Format", "Type")
+"""What matplotlib says of a file unless asked not to."""
+
 _WIDTH, _LEAST_WIDTH, _LEAST_HEIGHT, _MOST_HEIGHT = 9.0, 7.0, 2.2, 6.5
 """Of the figure, and of one view [inch]."""
 
@@ -33,6 +38,19 @@ _LABEL = 1.35
 
 def draw_layout(path: str | os.PathLike, layout: Layout, title: str) -> None:
     """Writes the drawing as PNG or SVG, by the ending of ``path``."""
+    write_picture(_drawn(layout, title), path)
+
+
+def layout_svg(layout: Layout, title: str) -> str:
+    """The drawing as an SVG element to stand in a page: it names no file and no address."""
+    held = io.StringIO()
+    _drawn(layout, title).savefig(held, format="svg", metadata=dict.fromkeys(_METADATA))
+    drawing = held.getvalue()
+    drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing[drawing.index("<svg") :], flags=re.DOTALL)
+    return re.sub(r' xmlns(:xlink)?="[^"]*"', "", drawing).replace("xlink:href", "href")
+
+
+def _drawn(layout: Layout, title: str) -> Figure:
     lows, highs = (np.array(corners) for corners in zip(*(_extent(layout, view) for view in (0, 1)), strict=True))
     left, right = lows[:, 0].min(), highs[:, 0].max()
     # One scale for both views: as wide as there is room, but not too high.
@@ -54,7 +72,7 @@ def draw_layout(path: str | os.PathLike, layout: Layout, title: str) -> None:
     figure.set_layout_engine("none")  # names are set where things now are
     for view, axes in enumerate(panels[:2]):
         _label(figure, axes, layout, view)
-    write_picture(figure, path)
+    return figure
 
 
 def _shortened(text: str, most: int = 128) -> str:

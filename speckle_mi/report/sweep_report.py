@@ -28,6 +28,9 @@ from .terminal import terminal
 
 _CURVE_POINTS = 101
 
+DRAWN = ("fits", "curves")
+"""What a summary has for tables and drawings only."""
+
 SHARED = ("scene", "defaults", "identity", "system", "seconds_total")
 """What a summary of several detectors says once besides: it is the same for all."""
 
@@ -53,7 +56,7 @@ def write_table(path: str | os.PathLike, records: Mapping[str, Sequence[FrameRec
 def write_summary(path: str | os.PathLike, summaries: Mapping[str, dict]) -> None:
     """Writes summary.json without what only the plots need: the only detector's, or under ``detectors`` each one's."""
     plain = {
-        detector: {name: value for name, value in summary.items() if name != "fits"}
+        detector: {name: value for name, value in summary.items() if name not in DRAWN}
         for detector, summary in summaries.items()
     }
     first = next(iter(plain.values()))
@@ -92,6 +95,7 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
         "warnings": result.warnings,
         "system": system_information(),
         "fits": fits,
+        "curves": _correlation_curves(assembly, settings, plan),
     }
 
 
@@ -114,7 +118,7 @@ def write_plots(
         place("decorrelation.png"),
         {dof: settings.displacements for dof in settings.dofs},
         {dof: result.values(dof, "ncc", settings) for dof in settings.dofs},
-        _correlation_curves(assembly, settings),
+        summary["curves"],
     )
     for dof, fitted in summary["fits"].items():
         for axis in _axes_to_plot(fitted):
@@ -159,9 +163,11 @@ def _decorrelation(assembly: Assembly, settings: SweepSettings, result: SweepRes
     }
 
 
-def _correlation_curves(assembly: Assembly, settings: SweepSettings) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+def _correlation_curves(
+    assembly: Assembly, settings: SweepSettings, plan: Plan
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """By motion, displacements and the correlation that theory expects there."""
     displacements = np.linspace(settings.displacements.min(), settings.displacements.max(), _CURVE_POINTS)
-    plan = plan_of(assembly)
     curves = {dof: expected_correlation(assembly, dof, displacements, plan) for dof in settings.dofs}
     return {dof: (displacements, curve) for dof, curve in curves.items() if curve is not None}
 
