@@ -35,15 +35,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
-    from .experiments.executor import FramesInProcess
     from .experiments.sweep import run_sweeps
     from .experiments.sweep_result import SweepResult, frame_count
     from .machine.files import require_folder
+    from .machine.journal import Journal
     from .scene.load import open_scene
 
     settings = _settings(options)
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
     scene = open_scene(options.scene, options.defaults, options.variant)
+    from .experiments.kept_images import ALL, FIRST, NONE, images_to_keep
     from .field.detectors import Simulations
     from .experiments.layout import layout_of
     from .geometry.pose import Pose
@@ -55,28 +56,28 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     assemblies = assemblies_from_scene(scene, options.detector)
     settings = _completed(settings, assemblies, options)
+    keep = options.keep or images_to_keep(assemblies, settings)
     identity = _identity(assemblies, settings)
-    simulations = Simulations(assemblies)
-    cost = simulations.cost(Pose())
+    cost = Simulations(assemblies).cost(Pose())
     require_affordable(cost, options.force)
     if cost.seconds > WORTH_SAYING:
         count = frame_count(settings)
         say(options, f"expected: {cost}, {count} frames in about {duration(count * cost.seconds)}")
     _claim(folder, identity, options.force)
     results = {name: SweepResult() for name in assemblies}
-    table, is_repeated = folder / "sweep.csv", (folder / "summary.json").exists()
 
-    def keep() -> None:
-        # A sweep that is done again has a whole table already.
-        finished = {name: result.finished() for name, result in results.items()}
-        if not is_repeated or all(len(records) == frame_count(settings) for records in finished.values()):
-            report.write_table(table, finished)
+    def write_table() -> None:
+        # One that is whole already stays so until this one is.
+        records = {name: result.records for name, result in results.items()}
+        if not is_repeated or all(len(rows) == frame_count(settings) for rows in records.values()):
+            report.write_table(folder / "sweep.csv", records)
 
+    is_repeated = (folder / "summary.json").exists()
     # An interrupted sweep keeps its finished frames and the table of them, and goes on from there the next time.
-    with keeping(keep):
+    with keeping(write_table), Journal(folder / "jobs") as done:
         run_sweeps(
-            assemblies, settings, folder / "frames", results, options.quiet, resume=not is_repeated,
-            executor=FramesInProcess(simulations), pictures=options.images,
+            assemblies, settings, folder / "frames", results, options.quiet, done=done, keep=keep,
+            pictures=options.images,
         )  # fmt: skip
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     found = {name: report.summarise(assembly, settings, results[name]) for name, assembly in assemblies.items()}
@@ -92,7 +93,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_report(folder / "report.html", made)
     if not options.quiet:
         report.print_summaries(summaries)
-        say(options, f"{folder}: frames, sweep.csv, summary.json, plots and report.html, {seconds:.1f} s in all")
+        kept = {ALL: "all frames", FIRST: "frames of the first surface (--keep all: of each)", NONE: "no frames"}[keep]
+        say(options, f"{folder}: {kept}, sweep.csv, summary.json, plots and report.html, {seconds:.1f} s in all")
 
 
 def _parser():
@@ -106,6 +108,11 @@ def _parser():
     window_help = "side of the correlation window, px (default: 256, less on a small detector; the paper's: 64)"
     parser.add_argument("--window", type=int, default=None, help=window_help)
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
+    parser.add_argument(
+        "--keep", choices=("none", "first", "all"),
+        help="which field images stay in DIR/frames: none, those of the first surface, all (default: as many as take "
+        "up to 0.5 GB; every frame's row is kept, and an interrupted sweep goes on from it)",
+    )  # fmt: skip
     add_detector(parser)
     add_images(parser)
     add_force(parser)
@@ -178,6 +185,7 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
     """Makes the folder ready; InputError when it holds results of other settings and ``force`` is not given."""
     from .machine.files import refuse_other_settings, write_json
     from .machine.fragments import remove_abandoned
+    from .machine.journal import SUFFIX as JOURNAL
 
     settings_file = folder / "settings.json"
     if settings_file.is_file():
@@ -194,6 +202,7 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
         for stale in (
             *(file for kind in ("exr", "png", "tiff") for file in folder.glob(f"frames/*.{kind}")),
             *folder.glob("*.png"),
+            *folder.glob(f"jobs/*{JOURNAL}"),
             folder / "report.html",
             folder / "summary.json",
             folder / "sweep.csv",

@@ -12,11 +12,15 @@ from scene_builder import detector_frame, detector_xml, direction, free_space, i
 from test_commands import ENTRY, refused, run
 
 from speckle_mi.experiments import sweep
+from speckle_mi.experiments.frame_measurement import FrameMeasurement, SweptScene
+from speckle_mi.experiments.jobs import Job, Work
+from speckle_mi.experiments.kept_images import KeptImages
 from speckle_mi.experiments.sweep_result import SweepResult, SweepSettings
 from speckle_mi.field.detectors import Simulations
 from speckle_mi.field.simulation import Simulation
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.images.exr import read_field
+from speckle_mi.machine.journal import Journal
 from speckle_mi.scene.errors import SceneError
 from speckle_mi.scene.read import assemblies_from_scene, assembly_from_scene
 
@@ -162,32 +166,49 @@ def test_a_camera_takes_two_pictures_of_a_target_that_has_not_moved(swept):
     assert all(record.ncc < 1 and record.sigma_u_um > 0 for record in still)
 
 
-def test_a_sweep_goes_on_from_finished_frames_and_reads_each_image_once(two, swept, tmp_path, monkeypatch):
-    frames, whole = swept
-    for path in frames.glob("*.exr"):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
+def test_a_sweep_goes_on_from_finished_frames_whose_images_are_there(two, swept, tmp_path):
+    _, whole = swept
+    arguments = {"settings": SETTINGS, "frames": tmp_path, "quiet": True}
+    with Journal(tmp_path / "jobs") as done:
+        first = {name: SweepResult() for name in two}
+        sweep.run_sweeps(two, results=first, done=done, **arguments)
+        count = len(done)
+    before = {path.name: (path.stat().st_mtime_ns, read_field(path).field) for path in tmp_path.glob("*.exr")}
     (tmp_path / "seed1_ry_002.bare.exr").unlink()  # interrupted between the two
     damaged = tmp_path / "seed0_x_002.near.exr"
     damaged.write_bytes(damaged.read_bytes()[:-500])
-    read = []
-    monkeypatch.setattr(sweep, "read_field", lambda path: read.append(path.name) or read_field(path))
     results = {name: SweepResult() for name in two}
-    sweep.run_sweeps(two, SETTINGS, tmp_path, results, quiet=True, resume=True)
+    with Journal(tmp_path / "jobs") as done:
+        sweep.run_sweeps(two, results=results, done=done, **arguments)
+        assert len(done) == count == 14
     assert {name: rows(result) for name, result in results.items()} == {n: rows(r) for n, r in whole.items()}
-    assert len(read) == len(set(read)) >= 2 * 12
-    made = [record for record in results["near"].records if np.isfinite(record.seconds)]
-    assert len(made) == 2
-    for name in ("seed1_ry_002.bare", "seed0_x_002.near"):
-        assert np.array_equal(read_field(tmp_path / f"{name}.exr").field, read_field(frames / f"{name}.exr").field)
+    assert all(np.array_equal(results[name].example, whole[name].example) for name in two)
+    after = {path.name: (path.stat().st_mtime_ns, read_field(path).field) for path in tmp_path.glob("*.exr")}
+    assert before.keys() == after.keys()
+    written = {name for name in before if before[name][0] != after[name][0]}
+    assert written == {f"{name}.{detector}.exr" for name in ("seed1_ry_002", "seed0_x_002") for detector in two}
+    assert all(np.array_equal(before[name][1], after[name][1]) for name in before)
 
 
-def test_images_of_another_camera_are_not_gone_on_from(two, swept, load):
+def test_frames_of_another_camera_are_not_gone_on_from(two, swept, load, tmp_path):
     frames, _ = swept
     other = assemblies_from_scene(load(scene("", "near", "bare").replace("300", "301")))
-    task = next(sweep.frames_of_sweep(SETTINGS)).task
-    for assemblies, finished in ((two, True), (other, False)):
-        with sweep._Images(frames, assemblies, None) as images:
-            assert images.are_finished(task) is finished
+    first = next(sweep.frames_of_sweep(SETTINGS))
+    keys = set()
+    for assemblies, there in ((two, True), (other, False)):
+        keys.add(Job(Work(FrameMeasurement, SweptScene.of(assemblies, 24)), first.task).key)
+        with KeptImages(frames, assemblies, "all", None) as images:
+            assert images.are_there(first.name, first.task, True) is there
+    assert len(keys) == 2
+
+
+@pytest.mark.parametrize("keep, kept", [("none", 0), ("first", 14), ("all", 28)])
+def test_images_stay_as_asked_and_rows_whatever_stays(two, swept, tmp_path, keep, kept):
+    results = {name: SweepResult() for name in two}
+    with Journal(tmp_path / "jobs") as done:
+        sweep.run_sweeps(two, SETTINGS, tmp_path, results, quiet=True, done=done, keep=keep)
+        assert len(list(tmp_path.glob("*.exr"))) == kept and len(done) == 14
+    assert {name: rows(result) for name, result in results.items()} == {n: rows(r) for n, r in swept[1].items()}
 
 
 # Programs

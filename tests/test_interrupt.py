@@ -106,7 +106,7 @@ def test_an_interrupted_sweep_goes_on_from_its_finished_frames(tmp_path):
     out = tmp_path / "out"
     frames = sorted((out / "frames").glob("*.exr"))
     before = {path.name: path.read_bytes() for path in frames}
-    summary = json.loads((out / "summary.json").read_text())
+    summary, rows = json.loads((out / "summary.json").read_text()), rows_but_for_time(out)
     # As an interrupt leaves it: some frames, no summary; one of the frames is of another surface, one damaged.
     (out / "summary.json").unlink()
     kept, foreign, damaged = frames[0], frames[1], frames[2]
@@ -124,9 +124,7 @@ def test_an_interrupted_sweep_goes_on_from_its_finished_frames(tmp_path):
         assert (read_field(path).intensity == _image(before[path.name], tmp_path).intensity).all(), path.name
     found = json.loads((out / "summary.json").read_text())
     assert found["sensitivity"] == summary["sensitivity"] and found["frames"] == summary["frames"]
-    with open(out / "sweep.csv", newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert [row["seconds"] == "" for row in rows] == [path == kept for path in _in_order(out, rows)]
+    assert rows_but_for_time(out) == rows
 
 
 def _image(content: bytes, folder):
@@ -135,16 +133,9 @@ def _image(content: bytes, folder):
     return read_field(path)
 
 
-def _in_order(out, rows):
-    """The files of the frames that a table's rows stand for."""
-    counts: dict = {}
-    for row in rows:
-        name = f"seed{row['seed']}_{row['dof']}"
-        if row["dof"] != "reference":
-            number = counts.get(name, 0)
-            counts[name] = number + 1
-            name += f"_{number:03d}"
-        yield out / "frames" / f"{name}.exr"
+def rows_but_for_time(out) -> list[dict]:
+    with open(out / "sweep.csv", newline="", encoding="utf-8") as file:
+        return [{name: value for name, value in row.items() if name != "seconds"} for row in csv.DictReader(file)]
 
 
 def test_an_interrupt_while_a_loop_is_recorded_is_still_one(mitsuba):

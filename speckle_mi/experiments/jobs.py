@@ -9,17 +9,24 @@
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Protocol
 
+from ..machine.cores import keep_to_one_core, products_on_one_thread
 from ..machine.fingerprint import fingerprint
 from ..machine.journal import Journal
 from ..version import __version__
 
 WORKS_KEPT = 4
 """Works whose preparation a process keeps: jobs of one work mostly follow one another."""
+
+AHEAD = 2
+"""Jobs a thread that are begun or wait to be: the next one is there when one is done, and few results wait."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +38,7 @@ class Work:
     can be pickled, as assemblies are. key: of content and version, the same in every process.
     """
 
-    begin: Callable[[object], Callable[[object], object]]
+    begin: Callable[[object], Callable[..., object]]
     given: object
     key: str = field(init=False, compare=False)
 
@@ -42,10 +49,15 @@ class Work:
 
 @dataclass(frozen=True)
 class Job:
-    """One call: item is plain data, as a pose, a seed or a mapping of values."""
+    """One call: item is plain data, as a pose, a seed or a mapping of values.
+
+    besides: what the call is to bring besides its result, handed over as a second argument unless it is None; it does
+    not change the result, and is no part of the key.
+    """
 
     work: Work
     item: object
+    besides: object = None
 
     @property
     def key(self) -> str:
@@ -61,33 +73,59 @@ class Executor(Protocol):
 
 
 class InProcess:
-    """Does jobs one after the other in this process, in their order."""
+    """Does jobs in this process and gives them in their order.
 
-    def __init__(self) -> None:
-        self._bench = Workplace()
+    threads: jobs that are done at a time, each on one core but for the kernels, which take all; what a work has
+    prepared is then called from several threads.
+    """
+
+    def __init__(self, threads: int = 1) -> None:
+        self.workplace, self._threads = Workplace(), threads
 
     def results(self, jobs: Iterable[Job]) -> Iterator[tuple[Job, object]]:
-        for job in jobs:
-            yield job, self._bench.result(job)
+        if self._threads < 2:
+            for job in jobs:
+                yield job, self.workplace.result(job)
+            return
+        jobs, ahead = iter(jobs), deque()
+        with products_on_one_thread(), ThreadPoolExecutor(self._threads, "jobs", keep_to_one_core) as pool:
+            try:
+                while True:
+                    for job in islice(jobs, AHEAD * self._threads - len(ahead)):
+                        ahead.append((job, pool.submit(self.workplace.result, job)))
+                    if not ahead:
+                        return
+                    job, result = ahead.popleft()
+                    yield job, result.result()
+            finally:
+                pool.shutdown(cancel_futures=True)
 
 
 class Workplace:
     """Where a process does jobs: keeps what the last few works have prepared."""
 
     def __init__(self) -> None:
-        self._prepared: dict[str, Callable[[object], object]] = {}
+        self._prepared: dict[str, Callable[..., object]] = {}
+        self._lock = threading.Lock()
+
+    def hold(self, work: Work, prepared: Callable[..., object]) -> None:
+        """Takes what a work has prepared elsewhere."""
+        with self._lock:
+            self._prepared[work.key] = prepared
 
     def result(self, job: Job) -> object:
         """The result of a job."""
-        return self.prepared(job.work)(job.item)
+        prepared = self.prepared(job.work)
+        return prepared(job.item) if job.besides is None else prepared(job.item, job.besides)
 
-    def prepared(self, work: Work) -> Callable[[object], object]:
+    def prepared(self, work: Work) -> Callable[..., object]:
         """What does the jobs of a work."""
-        if work.key not in self._prepared:
-            while len(self._prepared) >= WORKS_KEPT:
-                self._prepared.pop(next(iter(self._prepared)))
-            self._prepared[work.key] = work.begin(work.given)
-        return self._prepared[work.key]
+        with self._lock:
+            if work.key not in self._prepared:
+                while len(self._prepared) >= WORKS_KEPT:
+                    self._prepared.pop(next(iter(self._prepared)))
+                self._prepared[work.key] = work.begin(work.given)
+            return self._prepared[work.key]
 
 
 def run(

@@ -2,69 +2,72 @@
 
 from __future__ import annotations
 
-import time
-from collections import deque
+import threading
 from collections.abc import Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from ..field.detectors import Simulations
-from ..field.simulation import plan_of
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, unit_of
-from ..images.exr import read_field, read_header, write_field
-from ..images.field_image import FieldImage, FieldImageError
-from ..images.saved import write_picture
-from ..machine.files import for_part
+from ..images.field_image import FieldImage
+from ..machine.cores import usable_cores
+from ..machine.journal import Journal
+from ..machine.memory import excess
 from ..machine.progress import progress_bars
-from ..measurement.correlator import Correlator
-from ..measurement.speckle_statistics import centre_of_gravity, contrast
 from ..scene.assembly import Assembly
-from ..version import __version__
-from .chief_ray import axes_as_seen
-from .executor import FrameExecutor, FrameTask, FramesInProcess
-from .expectation import on_all_axes
+from .frame_measurement import IMAGES, FrameMeasurement, FrameTask, SweptScene, in_single_precision
+from .jobs import Executor, InProcess, Job, Work
+from .kept_images import ALL, KeptImages
 from .slides import Slides
 from .sweep_result import REFERENCE, FrameRecord, SweepResult, SweepSettings
 
-_PENDING_WRITES = 8
-"""Frames that may wait to be written: bounds the memory they take."""
+MOST_THREADS = 4
+"""Frames that are made at a time: what of them is Python takes turns."""
+
+_AT_REST = 0
+"""Number of the first surface's frame at rest."""
 
 
 @dataclass(frozen=True)
 class SweptFrame:
-    """One frame of a sweep: the motion, how far [mm or deg], and what is to be done for it."""
+    """One frame of a sweep: its number, the motion, how far [mm or deg], what is to be done for it, and the name that
+    its images are kept under; is_of_first: of the first surface."""
 
+    number: int
     dof: str
     displacement: float
     task: FrameTask
+    name: str
+    is_of_first: bool
+
+    def record(self, seconds: float, columns: Mapping[str, object]) -> FrameRecord:
+        """The row that it gives."""
+        unit = unit_of(self.dof) if self.dof in DEGREES_OF_FREEDOM else "mm"
+        return FrameRecord(
+            dof=self.dof, displacement=self.displacement, unit=unit, seed=self.task.seed, seconds=seconds, **columns
+        )
 
 
 def frames_of_sweep(settings: SweepSettings) -> Iterator[SweptFrame]:
     """The frames of a sweep: for every surface the one at rest, then those of each motion."""
+    number = 0
     for seed in settings.seeds:
-        yield SweptFrame(REFERENCE, 0.0, FrameTask(Pose(), seed, f"seed{seed}_reference"))
+        is_first = seed == settings.seeds[0]
+        yield SweptFrame(number, REFERENCE, 0.0, FrameTask(Pose(), seed), f"seed{seed}_reference", is_first)
+        number += 1
         for dof in settings.dofs:
-            for number, displacement in enumerate(map(float, settings.displacements)):
+            for step, displacement in enumerate(map(float, settings.displacements)):
                 # At no displacement a camera takes another picture of what it saw at rest.
                 shot = 0 if displacement else 1 + DEGREES_OF_FREEDOM.index(dof)
-                task = FrameTask(Pose(**{dof: displacement}), seed, f"seed{seed}_{dof}_{number:03d}", shot)
-                yield SweptFrame(dof, displacement, task)
+                task = FrameTask(Pose(**{dof: displacement}), seed, shot)
+                yield SweptFrame(number, dof, displacement, task, f"seed{seed}_{dof}_{step:03d}", is_first)
+                number += 1
 
 
 def run_sweep(
-    assembly: Assembly,
-    settings: SweepSettings,
-    frames: Path,
-    result: SweepResult,
-    quiet: bool = False,
-    resume: bool = False,
-    executor: FrameExecutor | None = None,
+    assembly: Assembly, settings: SweepSettings, frames: Path, result: SweepResult, quiet: bool = False, **named
 ) -> None:
     """:func:`run_sweeps` of one detector, whose images have no name of its."""
-    run_sweeps({"": assembly}, settings, frames, {"": result}, quiet, resume, executor)
+    run_sweeps({"": assembly}, settings, frames, {"": result}, quiet, **named)
 
 
 def run_sweeps(
@@ -73,168 +76,130 @@ def run_sweeps(
     frames: Path,
     results: Mapping[str, SweepResult],
     quiet: bool = False,
-    resume: bool = False,
-    executor: FrameExecutor | None = None,
+    executor: Executor | None = None,
+    done: Journal | None = None,
+    keep: str = ALL,
     pictures: str | None = None,
 ) -> None:
-    """Makes all frames of a sweep of one or several detectors, adding to their ``results`` as it goes.
+    """Makes the frames of a sweep of one or several detectors that are not in their ``results`` yet, and adds them.
 
-    Images are written beside the computation: ``NAME.exr``, of several detectors ``NAME.ID.exr``. resume: takes the
-    images that an interrupted sweep of the same settings has left; their records have no time. executor: who makes the
-    frames (default: this process). pictures: ``png`` or ``tiff``, to write what the cameras save as well.
+    Images are written beside the computation: ``NAME.exr``, of several detectors ``NAME.ID.exr``. executor: who makes
+    the frames (default: this process). done: an open journal of what earlier runs have finished, which is taken over
+    where the images that are to stay are there, too. keep: which of the images stay, one of ``KEPT``. pictures: ``png``
+    or ``tiff``, to write what the cameras save of every frame as well.
     """
+    work = Work(FrameMeasurement, SweptScene.of(assemblies, settings.window))
+    measurement = FrameMeasurement(work.given)
+    if executor is None:
+        executor = InProcess(_frames_at_a_time(measurement))
+        executor.workplace.hold(work, measurement)
     planned = list(frames_of_sweep(settings))
-    images = _Images(frames, assemblies, pictures)
-    held = {one.task.name for one in planned if resume and images.are_finished(one.task)}
-    tables = {
-        name: _Measurement(assembly, settings, results[name], len(planned), 1 / len(assemblies))
-        for name, assembly in assemblies.items()
-    }
-    executor = executor or FramesInProcess(Simulations(assemblies))
-    made = executor.results(one.task for one in planned if one.task.name not in held)
-    with images, progress_bars(quiet) as progress:
+    finished = _Finished(results, measurement, settings, len(planned))
+    shown = _Shown(results, measurement)
+    with KeptImages(frames, assemblies, keep, pictures) as images, progress_bars(quiet) as progress:
         bar = progress.add_task("frames", total=len(planned))
+        missing: dict[str, SweptFrame] = {}
         for one in planned:
-            found = images.read(one.task) if one.task.name in held else None
-            if found is None and one.task.name in held:  # whole by its header, but damaged
-                found = images.written(one.task, next(iter(executor.results([one.task]))))
-            elif found is None:
-                found = images.written(one.task, next(made))
-            for name, image in found.items():
-                results[name].writes.append(image.write)
-                results[name].note(image.image.header)
-                tables[name].add(one, image.image, image.seconds)
-            progress.advance(bar)
+            if finished.has(one):
+                progress.advance(bar)
+                continue
+            job = Job(work, one.task)
+            held = done is not None and job.key in done and images.are_there(one.name, one.task, one.is_of_first)
+            if held:
+                finished.add(one, done[job.key])
+                progress.advance(bar)
+            else:
+                missing[job.key] = one
+
+        def jobs() -> Iterator[Job]:
+            for one in missing.values():
+                wanted = shown.wants(one) or images.are_wanted(one.is_of_first)
+                yield Job(work, one.task, IMAGES if wanted else None)
+
+        for job, result in executor.results(jobs()):
+            key, made = job.key, result.pop(IMAGES, None)
+            one = missing[key]
+            shown.see(one, made)
+
+            def finish(one: SweptFrame = one, key: str = key, result: dict = result) -> None:
+                finished.add(one, result if done is None else done.add(key, result))
+                progress.advance(bar)
+
+            if images.are_wanted(one.is_of_first):
+                images.write(one.name, one.is_of_first, made, finish)
+            else:
+                finish()
+        shown.complete(planned, images)
 
 
-@dataclass(frozen=True)
-class _Kept:
-    """An image, when it is on disk, and the seconds that it took (NaN for one that was there already)."""
-
-    image: FieldImage
-    write: Future
-    seconds: float
-
-
-class _Images:
-    """The images of a sweep's folder: which are there, and writing beside the computation, where a few may wait."""
-
-    def __init__(self, folder: Path, assemblies: Mapping[str, Assembly], pictures: str | None) -> None:
-        self._folder, self._pictures = folder, pictures
-        self._hashes = {name: assembly.fingerprint() for name, assembly in assemblies.items()}
-        self._waiting: deque[Future] = deque()
-        self._pool = ThreadPoolExecutor(max_workers=1)
-
-    def __enter__(self) -> _Images:
-        return self
-
-    def __exit__(self, kind, *_: object) -> None:
-        try:
-            while kind is None and self._waiting:
-                self._waiting.popleft().result()
-        finally:
-            # Where it went wrong, as the disk is full, say, the frames that wait are not tried.
-            self._pool.shutdown(cancel_futures=True)
-
-    def _path(self, task: FrameTask, name: str) -> Path:
-        path = self._folder / f"{task.name}.exr"
-        return path if len(self._hashes) == 1 else for_part(path, name)
-
-    def are_finished(self, task: FrameTask) -> bool:
-        """Whether an earlier run of the same version has left the images of all detectors, by their headers."""
-        for name, scene_hash in self._hashes.items():
-            wanted = {"scene_hash": scene_hash, "seed": task.seed, "pose": str(task.pose), "version": __version__}
-            try:
-                if not wanted.items() <= read_header(self._path(task, name)).items():
-                    return False
-            except FieldImageError:
-                return False
-        return True
-
-    def read(self, task: FrameTask) -> dict[str, _Kept] | None:
-        """The images of a finished frame, None where one of them cannot be read."""
-        found = {}
-        for name in self._hashes:
-            path = self._path(task, name)
-            try:
-                image = read_field(path)
-            except FieldImageError:
-                return None
-            write: Future = Future()
-            write.set_result(None)
-            if self._pictures and not path.with_suffix(f".{self._pictures}").is_file():
-                self._later(_write_picture, path, image, self._pictures)
-            found[name] = _Kept(image, write, np.nan)
-        return found
-
-    def written(self, task: FrameTask, made: Mapping) -> dict[str, _Kept]:
-        """The images of a frame that was made, which are being written."""
-        found = {}
-        for name, frame in made.items():
-            write = self._later(_write, self._path(task, name), frame.image, self._pictures)
-            found[name] = _Kept(frame.image, write, frame.seconds)
-        return found
-
-    def _later(self, function, *arguments: object) -> Future:
-        while len(self._waiting) >= _PENDING_WRITES:
-            self._waiting.popleft().result()
-        self._waiting.append(self._pool.submit(function, *arguments))
-        return self._waiting[-1]
-
-
-def _write(path: Path, image: FieldImage, pictures: str | None) -> None:
-    if pictures:  # first, so that a frame that counts as finished has its picture
-        _write_picture(path, image, pictures)
-    write_field(path, image)
-
-
-def _write_picture(path: Path, image: FieldImage, kind: str) -> None:
-    write_picture(path.with_name(f"{path.stem}.{kind}"), image)
-
-
-class _Measurement:
-    """Shifts of one detector's images against the one at rest of their surface, a record of each."""
+class _Finished:
+    """Adds what frames gave to the results, each once it is whole."""
 
     def __init__(
-        self, assembly: Assembly, settings: SweepSettings, result: SweepResult, count: int, share: float
+        self, results: Mapping[str, SweepResult], measurement: FrameMeasurement, settings: SweepSettings, count: int
     ) -> None:
-        self._assembly, self._settings, self._result = assembly, settings, result
-        self._seen = axes_as_seen(assembly, plan_of(assembly))
-        self._correlator: Correlator | None = None
-        result.slides = Slides(settings.dofs, settings.displacements, settings.seeds[0], share)
-        result.axes_as_seen = {"u": self._seen.u.tolist(), "v": self._seen.v.tolist()}
-        if self._seen.note:
-            result.warnings[self._seen.note] = count
+        self._results, self._lock = results, threading.Lock()
+        for name, seen in measurement.seen.items():
+            result = results[name]
+            result.axes_as_seen = {"u": seen.u.tolist(), "v": seen.v.tolist()}
+            first, share = settings.seeds[0], 1 / len(results)
+            result.slides = result.slides or Slides(settings.dofs, settings.displacements, first, share)
+            if seen.note:
+                result.warnings[seen.note] = count
 
-    def add(self, frame: SweptFrame, image: FieldImage, seconds: float) -> None:
-        """seconds: that the image took; the record's are those of its measurement, too."""
-        start, measured = time.perf_counter(), image.measured
-        if frame.dof == REFERENCE:
-            self._correlator = Correlator(measured, self._settings.window)
-            self._result.example = measured if self._result.example is None else self._result.example
-        dof = None if frame.dof == REFERENCE else frame.dof
-        self._result.slides.add(dof, frame.displacement, frame.task.seed, image)
-        pixel = 1e3 * self._assembly.detector.pitch
-        shift = self._correlator.shift(measured)
-        along = on_all_axes(np.array([[shift.u_px], [shift.v_px]]) * pixel, self._assembly, self._seen)[:, 0]
-        u, v, x, y = map(float, along)
-        cog = np.array(centre_of_gravity(measured)) * pixel
-        record = FrameRecord(
-            dof=frame.dof,
-            displacement=frame.displacement,
-            unit=unit_of(frame.dof) if frame.dof in DEGREES_OF_FREEDOM else "mm",
-            seed=frame.task.seed,
-            shift_u_um=u,
-            shift_v_um=v,
-            shift_x_um=x,
-            shift_y_um=y,
-            ncc=shift.ncc,
-            cog_u_um=float(cog[0]),
-            cog_v_um=float(cog[1]),
-            contrast=contrast(measured),
-            seconds=seconds + time.perf_counter() - start,
-            status=shift.status,
-            sigma_u_um=shift.sigma_u_px * pixel,
-            sigma_v_um=shift.sigma_v_px * pixel,
-        )
-        self._result.records.append(record)
+    def has(self, frame: SweptFrame) -> bool:
+        return all(frame.number in result.by_number for result in self._results.values())
+
+    def add(self, frame: SweptFrame, found: Mapping) -> None:
+        with self._lock:
+            for name, one in found["detectors"].items():
+                self._results[name].note(one)
+                self._results[name].by_number[frame.number] = frame.record(found["seconds"], one["columns"])
+
+
+class _Shown:
+    """The images of the first surface that a report shows, taken as they pass by, or read or made again at the end."""
+
+    def __init__(self, results: Mapping[str, SweepResult], measurement: FrameMeasurement) -> None:
+        self._results, self._measurement = results, measurement
+        self._seen: set[int] = set()
+
+    def wants(self, frame: SweptFrame) -> bool:
+        slides = next(iter(self._results.values())).slides
+        return frame.is_of_first and (frame.number == _AT_REST or frame.displacement in slides.displacements)
+
+    def see(self, frame: SweptFrame, images: Mapping[str, FieldImage] | None) -> None:
+        if images is None or not self.wants(frame) or frame.number in self._seen:
+            return
+        if frame.number != _AT_REST and _AT_REST not in self._seen:  # all others are shown beside the one at rest
+            self._add(_AT_REST, frame.task.seed, self._made(FrameTask(Pose(), frame.task.seed)))
+        self._add(frame.number, frame.task.seed, images, frame.dof, frame.displacement)
+
+    def complete(self, planned: list[SweptFrame], images: KeptImages) -> None:
+        """Those of frames that an earlier run has finished; then brings all in order."""
+        for frame in planned:
+            if self.wants(frame) and frame.number not in self._seen:
+                self.see(frame, images.read(frame.name, frame.task) or self._made(frame.task))
+        for result in self._results.values():
+            for slides in result.slides.motions.values():
+                slides.sort(key=lambda slide: slide.displacement)
+
+    def _made(self, task: FrameTask) -> dict[str, FieldImage]:
+        frames = self._measurement.simulations.frames(task.pose, task.seed, task.shot)
+        return {name: in_single_precision(frame.image) for name, frame in frames.items()}
+
+    def _add(
+        self, number: int, seed: int, images: Mapping[str, FieldImage], dof: str = REFERENCE, displacement: float = 0.0
+    ) -> None:
+        self._seen.add(number)
+        for name, image in images.items():
+            result = self._results[name]
+            result.slides.add(None if dof == REFERENCE else dof, displacement, seed, image)
+            if dof == REFERENCE:
+                result.example = image.measured
+
+
+def _frames_at_a_time(measurement: FrameMeasurement) -> int:
+    """As many as there are cores, and memory for them."""
+    threads = min(usable_cores(), MOST_THREADS)
+    return threads if not excess(threads * measurement.simulations.cost(Pose()).memory) else 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import Future
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,32 +50,32 @@ class FrameRecord:
 
 @dataclass
 class SweepResult:
-    """All frames of a sweep in the order they were made, and what was noticed on the way.
+    """All frames of a sweep that are finished, and what was noticed on the way.
 
-    axes_as_seen: the detector's axes u, v as the target sees them, on which shifts along x and y rest. slides: small
-    pictures of the first surface.
+    by_number: their records by their place in the sweep; axes_as_seen: the detector's axes u, v as the target sees
+    them, on which shifts along x and y rest; example: what the detector saw of the first surface at rest; slides: small
+    pictures of that surface.
     """
 
-    records: list[FrameRecord] = field(default_factory=list)
+    by_number: dict[int, FrameRecord] = field(default_factory=dict)
     stages: list[dict] = field(default_factory=list)
     numerical_error: float = 0.0
     warnings: dict[str, int] = field(default_factory=dict)
     example: np.ndarray | None = None
     axes_as_seen: dict[str, list[float]] = field(default_factory=dict)
     slides: Slides | None = None
-    writes: list[Future] = field(default_factory=list)
 
-    def note(self, header: dict) -> None:
+    @property
+    def records(self) -> list[FrameRecord]:
+        """In the order of the sweep, whoever made the frames and when."""
+        return [record for _, record in sorted(list(self.by_number.items()))]
+
+    def note(self, header: Mapping) -> None:
         """Takes account of what one frame's header says. An unknown error (NaN) makes the whole's unknown."""
         self.stages = self.stages or header["plan"]
         self.numerical_error = float(np.maximum(self.numerical_error, header["numerical_error"]))
         for warning in header["warnings"]:
             self.warnings[warning] = self.warnings.get(warning, 0) + 1
-
-    def finished(self) -> list[FrameRecord]:
-        """The records whose images are on disk: the others are lost when the sweep ends here."""
-        whole = (write.done() and not write.cancelled() and write.exception() is None for write in self.writes)
-        return [record for record, is_whole in zip(self.records, whole) if is_whole]
 
     def values(self, dof: str, name: str, settings: SweepSettings) -> np.ndarray:
         """Column ``name`` of a motion's frames as (seeds, displacements), less the reference's for cog columns."""

@@ -82,11 +82,16 @@ def products_on_one_thread() -> Iterator[_Threads]:
             _current.reset(token)
 
 
+def keep_to_one_core() -> None:
+    """From now on this thread shares nothing out: for one of several that work on items of their own."""
+    _current.set(_Threads(cores=1))
+
+
 class _Threads:
     """Threads beside the caller's own, begun when first needed, that end with the block."""
 
-    def __init__(self) -> None:
-        self.cores = usable_cores()
+    def __init__(self, cores: int | None = None) -> None:
+        self.cores = usable_cores() if cores is None else cores
         self._pool: ThreadPoolExecutor | None = None
         self._begins = threading.Lock()
 

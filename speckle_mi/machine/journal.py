@@ -34,7 +34,9 @@ class Journal:
         self._folder, self._path = Path(folder), Path(folder) / f"{name}{SUFFIX}"
         self._file: int | None = None
         self._lock = threading.Lock()
-        self._held: dict[str, object] = {}
+        # Where each result stands, as (file, first byte, bytes): results may be more than memory holds.
+        self._places: dict[str, tuple[Path, int, int]] = {}
+        self._read_to: dict[Path, int] = {}
         self.read_again()
 
     def __enter__(self) -> Journal:
@@ -47,7 +49,8 @@ class Journal:
         except BaseException:
             self.__exit__()
             raise
-        self._held.clear()  # a last line without its end has been cut off
+        self._places.clear()  # a last line without its end has been cut off
+        self._read_to.clear()
         self.read_again()
         return self
 
@@ -58,37 +61,50 @@ class Journal:
             self._file = None
 
     def __contains__(self, key: str) -> bool:
-        return key in self._held
+        return key in self._places
 
     def __getitem__(self, key: str) -> object:
-        return self._held[key]
+        path, first, size = self._places[key]
+        with open(path, "rb") as file:
+            file.seek(first)
+            return _entry(file.read(size))[1]
 
     def __len__(self) -> int:
-        return len(self._held)
+        return len(self._places)
 
     def add(self, key: str, result: object) -> object:
         """Adds a result and gives it as it will be read; it is there whatever happens to the process afterwards.
 
         Raises TypeError for what is not plain data.
         """
-        line = json.dumps({"key": key, "result": result}, default=_array, separators=(",", ":")) + "\n"
-        kept = json.loads(line, object_hook=_read_array)["result"]
+        line = (json.dumps({"key": key, "result": result}, default=_array, separators=(",", ":")) + "\n").encode()
         with self._lock:
             if self._file is None:
                 raise ValueError(f"{self._path}: must be open to be added to")
-            _write_whole(self._file, line.encode(), self._path)
-            self._held[key] = kept
-        return kept
+            first = _write_whole(self._file, line, self._path)
+            self._places.setdefault(key, (self._path, first, len(line)))
+        return _entry(line)[1]
 
     def read_again(self) -> None:
         """Takes account of what other processes have added."""
         for path in sorted(self._folder.glob(f"*{SUFFIX}")):
-            for line in path.read_bytes().splitlines():
-                try:
-                    entry = json.loads(line, object_hook=_read_array)
-                    self._held.setdefault(entry["key"], entry["result"])
-                except (ValueError, KeyError, TypeError):
-                    continue  # half-written, or damaged: it is done again
+            with open(path, "rb") as file:
+                first = file.seek(self._read_to.get(path, 0))
+                for line in file:
+                    if line.endswith(b"\n") and (entry := _entry(line)) is not None:
+                        self._places.setdefault(entry[0], (path, first, len(line)))
+                    if line.endswith(b"\n"):
+                        first += len(line)
+                self._read_to[path] = first
+
+
+def _entry(line: bytes) -> tuple[str, object] | None:
+    """Key and result of a line, None of a damaged one, whose job is done again."""
+    try:
+        entry = json.loads(line, object_hook=_read_array)
+        return entry["key"], entry["result"]
+    except (ValueError, KeyError, TypeError):
+        return None
 
 
 def _array(value: object) -> object:
@@ -130,8 +146,9 @@ def _cut_fragment(file: int) -> None:
     os.ftruncate(file, end)
 
 
-def _write_whole(file: int, data: bytes, path: Path) -> None:
-    """Appends a line whole, or takes back what of it was written (as the disk is full) and raises OSError."""
+def _write_whole(file: int, data: bytes, path: Path) -> int:
+    """Appends a line whole and tells where it begins, or takes back what of it was written (the disk is full) and
+    raises OSError."""
     begin, written = os.fstat(file).st_size, 0
     try:
         while written < len(data):
@@ -139,3 +156,4 @@ def _write_whole(file: int, data: bytes, path: Path) -> None:
     except OSError as error:
         os.ftruncate(file, begin)
         raise OSError(error.errno, error.strerror, str(path)) from error
+    return begin

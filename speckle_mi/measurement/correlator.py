@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from ..errors import InputError
+from ..machine.cores import products_on_one_thread
 from .covariance import as_image, checked_image, deviation, in_range
 from .defects import Defects, Usual, defects_of, mosaic_gains, repaired, without_mosaic
 from .deformation import Deformation
@@ -124,6 +125,7 @@ class Correlator:
         """
         return self.shift_and_deformation(moved)[0]
 
+    @products_on_one_thread()
     def shift_and_deformation(self, moved: np.ndarray, fit: str = "shift") -> tuple[Shift, Deformation | None]:
         """The shift, and how the window was turned and strained besides; None where that is not to be had.
 
