@@ -21,8 +21,8 @@ SURE = 1.3
 """Significance beyond which a second peak, away from zero, is the moving pattern's and no chance."""
 
 DOUBTFUL = 1.2
-"""Significance below which a weak peak next to zero shift may be what uneven gain makes between unrelated speckle: three of
-500 unrelated pairs of pictures with a gain uneven by half reach 1.04 to 1.09 there."""
+"""Significance below which a weak peak next to zero shift may be what uneven gain makes between unrelated speckle:
+three of 500 unrelated pairs of pictures with a gain uneven by half reach 1.04 to 1.09 there."""
 
 ALIKE = 0.9
 """Correlation at zero shift above which the whole picture stands still."""
@@ -135,7 +135,7 @@ def of_the_camera(
     if near and peak.ncc < HALF and peak.significance < DOUBTFUL:
         return (
             f"a correlation of {peak.ncc:.2f} next to zero shift is no more than uneven gain or dust make between"
-            " patterns that have nothing in common; take a larger window, or a picture of even light and give it as --flat"
+            " patterns that share nothing else; take a larger window, or a picture of even light and give it as --flat"
         )
     if near and (height := _spike(surface, origin, peak.ncc, texture.top, pixels, texture)) > 0.0:
         return (
