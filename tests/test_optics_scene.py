@@ -288,7 +288,7 @@ def fails(name):
 def test_free_space_launches_no_ray_traces_nothing_and_diffracts_nothing(shipped, monkeypatch):
     for module, name in (
         (plan, "find_routes"),
-        (plan, "aim"),
+        (plan, "rays_over"),
         (fields, "aim"),
         (fields, "TracedLeg"),
         (fields, "nodes_on"),

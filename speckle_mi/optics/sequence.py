@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -133,6 +134,20 @@ class Sequence:
     @property
     def size(self) -> int:
         return len(self.interactions)
+
+    @cached_property
+    def changes(self) -> tuple[tuple[np.ndarray | None, np.ndarray], ...]:
+        """What takes places from one surface's frame to the next one's, from the world on: rotation (3, 3), shift (3,).
+
+        Frames with the same axes have no rotation, so that nothing is rounded.
+        """
+        axes, origin, found = np.eye(3), np.zeros(3), []
+        for frame in (interaction.surface.frame for interaction in self.interactions):
+            rotation = frame.axes.T @ axes
+            same = np.array_equal(rotation, np.eye(3))
+            found.append((None if same else rotation, frame.axes.T @ (origin - frame.origin)))
+            axes, origin = frame.axes, frame.origin
+        return tuple(found)
 
     @property
     def amplitude(self) -> float:

@@ -106,13 +106,17 @@ class Surface:
 
     def gradient(self, point: np.ndarray) -> np.ndarray:
         """Half the gradient of the surface's equation at local points (3, n), (3, n); its length is 1 at the vertex."""
-        c = self.curvature
-        return np.stack([c * point[0], c * point[1], c * (1.0 + self.conic) * point[2] - 1.0])
+        gradient = self.curvature * point
+        if self.conic:
+            gradient[2] *= 1.0 + self.conic
+        gradient[2] -= 1.0
+        return gradient
 
     def bend(self, point: np.ndarray, tangents: np.ndarray) -> np.ndarray:
         """How the gradient at local points (3, n) changes along tangents (3, T, n): (3, T, n), a new array."""
         change = self.curvature * tangents
-        change[2] *= 1.0 + self.conic
+        if self.conic:
+            change[2] *= 1.0 + self.conic
         return change
 
     def turned(self) -> Surface:
@@ -150,24 +154,33 @@ class Surface:
             hit = point + length * direction
             hit[2] = np.where(np.isfinite(length), 0.0, np.nan)
             return length, hit
-        c, k, cosine = self.curvature, self.conic, direction[2]
+        cosine = direction[2]
         foot = -dot(point, direction)
         start = point + foot * direction
-        a = c * (1.0 + k * cosine * cosine)
-        b = (c * k * start[2] - 1.0) * cosine
-        f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
+        a, b, f = self._equation(start, cosine)
         slope = np.sqrt(b * b - a * f)
         if root != "vertex":
             t = _crossing(a, b, f, np.where((a > 0.0) == (root == "near"), -slope, slope))
             return foot + t, start + t * direction
         slope = np.where(cosine > 0.0, -slope, slope)
         t = self._on_sheet(_crossing(a, b, f, slope), start, direction)
-        behind = ~(foot + t >= -BEHIND_TOLERANCE)
-        if np.any(behind):
+        length = foot + t
+        behind = ~(length >= -BEHIND_TOLERANCE)
+        if behind.any():
             other = self._on_sheet(_crossing(a, b, f, -slope), start, direction)
             t = np.where(behind & (foot + other >= -BEHIND_TOLERANCE), other, t)
+            length = foot + t
         # From the near start, so that a source far away does not leave its rounding in the hit point.
-        return foot + t, start + t * direction
+        return length, start + t * direction
+
+    def _equation(self, start: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """a, b and f (n,) of a t^2 + 2 b t + f = 0 for local rays from start (3, n) with slopes ``cosine`` along z."""
+        c, k = self.curvature, self.conic
+        if k == 0.0:
+            return np.full_like(cosine, c), -cosine, c * dot(start, start) - 2.0 * start[2]
+        a = c * (1.0 + k * cosine * cosine)
+        b = (c * k * start[2] - 1.0) * cosine
+        return a, b, c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
 
     def _on_sheet(self, t: np.ndarray, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Lengths t (n,) of crossings start + t direction, (3, n) local, NaN where one is not of the vertex's sheet.
@@ -187,10 +200,8 @@ class Surface:
         with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
             foot = -dot(point, direction)
             start = point + foot * direction
-            c, k, cosine = self.curvature, self.conic, direction[2]
-            a = c * (1.0 + k * cosine * cosine)
-            b = (c * k * start[2] - 1.0) * cosine
-            f = c * (dot(start, start) + k * start[2] ** 2) - 2.0 * start[2]
+            c, k = self.curvature, self.conic
+            a, b, f = self._equation(start, direction[2])
             q = -(b + np.copysign(np.sqrt(b * b - a * f), b))
             one, two = f / q, np.where(a == 0.0, np.nan, q / a)
             length = foot + np.stack([np.fmin(one, two), np.maximum(one, two)])  # NaN comes last
@@ -211,4 +222,5 @@ def _crossing(a: np.ndarray, b: np.ndarray, f: np.ndarray, slope: np.ndarray) ->
 
 def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Scalar products of vectors whose components are the first axis, (3, ...)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    product = a * b
+    return product[0] + product[1] + product[2]

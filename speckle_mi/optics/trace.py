@@ -139,29 +139,23 @@ def march(sequence: Sequence, state: np.ndarray, tubes: bool = False) -> Iterato
     tubes (T = 2): also give the cross section of the ray tube spanned by the two tangents on the segment before each
     interaction, d . (q1 x q2) = a0 + a1 t + a2 t^2 at length t from its start, as (a0, a1, a2).
     """
-    axes, origin = np.eye(3), np.zeros(3)
     count = (state.shape[1] - 2) // 2
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        for interaction in sequence.interactions:
-            frame = interaction.surface.frame
-            state = _change_frame(state, frame.axes.T @ axes, frame.axes.T @ (origin - frame.origin))
-            axes, origin = frame.axes, frame.origin
+        for interaction, change in zip(sequence.interactions, sequence.changes, strict=True):
+            state = _change_frame(state, *change)
             tube = _tube(state) if tubes else None
-            length, normal, normal_tangents = _transfer(interaction, state, count)
+            length, normal, incidence, normal_tangents = _transfer(interaction, state, count)
             total = None
             if interaction.action == "refract":
-                total = _refract(interaction, state, count, normal, normal_tangents)
+                total = _refract(interaction, state, count, normal, incidence, normal_tangents)
             elif interaction.action == "reflect":
-                _reflect(state, count, normal, normal_tangents)
+                _reflect(state, count, normal, incidence, normal_tangents)
             yield Step(interaction, state, length, total, tube)
 
 
-def _change_frame(state: np.ndarray, rotation: np.ndarray, shift: np.ndarray) -> np.ndarray:
-    """A copy of the state in the next frame. Frames with the same axes are not multiplied, so nothing is rounded."""
-    if np.array_equal(rotation, np.eye(3)):
-        out = state.copy()
-    else:
-        out = (rotation @ state.reshape(3, -1)).reshape(state.shape)
+def _change_frame(state: np.ndarray, rotation: np.ndarray | None, shift: np.ndarray) -> np.ndarray:
+    """A copy of the state in the next frame, see ``Sequence.changes``."""
+    out = state.copy() if rotation is None else (rotation @ state.reshape(3, -1)).reshape(state.shape)
     out[:, 0] += shift[:, None]
     return out
 
@@ -182,10 +176,11 @@ def _triple(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
 
 def _transfer(
     interaction: Interaction, state: np.ndarray, count: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
     """Move the rays onto the surface, in place.
 
-    Returns lengths (n,), unit normals N (3, n) or (3, 1) and their tangents (3, T, n), None if zero or unused.
+    Returns lengths (n,), unit normals N (3, n) or (3, 1), N . d (n,) and tangents of N (3, T, n), None if zero or
+    unused.
     """
     surface = interaction.surface
     direction = state[:, 1]
@@ -196,39 +191,38 @@ def _transfer(
         gradient = surface.gradient(state[:, 0])
         scale = 1.0 / np.sqrt(dot(gradient, gradient))
         normal = gradient * scale
+    incidence = direction[2] if surface.is_plane else dot(normal, direction)
     if not count:
-        return length, normal, None
+        return length, normal, incidence, None
     # The tangent's hit stays on the surface: the length varies by -(N . dp)/(N . d).
     tangents = state[:, 2 : 2 + count]
     tangents += length * state[:, 2 + count :]
     along = tangents[2] if surface.is_plane else dot(normal[:, None], tangents)
-    incidence = direction[2] if surface.is_plane else dot(normal, direction)
     tangents -= direction[:, None] * (along / incidence)
     if surface.is_plane or interaction.action == "pass":
-        return length, normal, None
+        return length, normal, incidence, None
     normal_tangents = surface.bend(state[:, 0], tangents)
     normal_tangents *= scale
     normal_tangents -= normal[:, None] * dot(normal[:, None], normal_tangents)
-    return length, normal, normal_tangents
+    return length, normal, incidence, normal_tangents
 
 
-def _incidence(state: np.ndarray, count: int, normal: np.ndarray, normal_tangents: np.ndarray | None):
-    """u = N . d (n,) and its tangents (T, n)."""
-    direction = state[:, 1]
+def _turning(state: np.ndarray, count: int, normal: np.ndarray, normal_tangents: np.ndarray | None) -> np.ndarray:
+    """Tangents (T, n) of u = N . d."""
     tangents = dot(normal[:, None], state[:, 2 + count :])
     if normal_tangents is not None:
-        tangents += dot(normal_tangents, direction[:, None])
-    return dot(normal, direction), tangents
+        tangents += dot(normal_tangents, state[:, 1, None])
+    return tangents
 
 
-def _refract(interaction: Interaction, state: np.ndarray, count: int, normal, normal_tangents) -> np.ndarray:
+def _refract(interaction: Interaction, state: np.ndarray, count: int, normal, u, normal_tangents) -> np.ndarray:
     """Snell's law d' = eta d + gamma N, in place; returns the mask (n,) of total internal reflection.
 
     gamma = w - eta u = (1 - eta^2) / (w + eta u), u = N . d, w = sign(u) sqrt(1 - eta^2 + eta^2 u^2): exactly nothing
     for equal indices.
     """
     eta = interaction.index_before / interaction.index_after
-    u, u_tangents = _incidence(state, count, normal, normal_tangents)
+    u_tangents = _turning(state, count, normal, normal_tangents) if count else None
     square = (1.0 - eta) * (1.0 + eta) + (eta * u) ** 2
     w = np.copysign(np.sqrt(square), u)
     gamma = (1.0 - eta) * (1.0 + eta) / (w + eta * u)
@@ -242,9 +236,9 @@ def _refract(interaction: Interaction, state: np.ndarray, count: int, normal, no
     return square < 0.0
 
 
-def _reflect(state: np.ndarray, count: int, normal: np.ndarray, normal_tangents: np.ndarray | None) -> None:
+def _reflect(state: np.ndarray, count: int, normal: np.ndarray, u: np.ndarray, normal_tangents) -> None:
     """Law of reflection d' = d - 2 u N, u = N . d, in place."""
-    u, u_tangents = _incidence(state, count, normal, normal_tangents)
+    u_tangents = _turning(state, count, normal, normal_tangents) if count else None
     state[:, 1] -= 2.0 * u * normal
     if count:
         state[:, 2 + count :] -= 2.0 * u_tangents * normal[:, None]

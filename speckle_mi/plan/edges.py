@@ -24,7 +24,7 @@ from ..propagation.opening_quadrature import estimated_nodes
 from .cost import expected_scatterers, rim_seconds
 from .fresnel import edge_wave, fresnel_distance, fresnel_parameter
 from .gradients import phase_gradient
-from .legs import leg, straight_on
+from .legs import LightOver, leg, light_over, rays_over, straight_on
 from .places import detector_places, hole_places
 from .relay import Relayed, with_windows
 from .setup import Setup
@@ -77,6 +77,7 @@ def chosen_edges(
     unaffordable: set[int] = set()
     alone: Rim | None = None
     light: dict[tuple, _Light] = {}
+    over: dict[Rim | None, LightOver | None] = {None: None}
     known: dict[tuple, EdgeWave] = {}
     windowed: dict[tuple[Rim, ...], Relayed] = {}
 
@@ -90,7 +91,11 @@ def chosen_edges(
         if (before, after) not in light:
             light[before, after] = _light_between(channel, before, after, spots)
         if (rim, before, after) not in known:
-            known[rim, before, after] = _edge_wave(setup, channel, rim, before, after, light[before, after], spots)
+            if before not in over:
+                holes = hole_places(before.plane, (0.0, 1.0), 6)
+                over[before] = light_over(channel, None, spots, before, holes)
+            between = light[before, after], over[before]
+            known[rim, before, after] = _edge_wave(setup, channel, rim, before, after, *between, spots)
         return known[rim, before, after]
 
     while True:
@@ -243,18 +248,22 @@ class _Light:
 
 def _light_between(channel: Channel, before: Rim | None, after: Rim | None, spots: np.ndarray) -> _Light:
     """The rays that there are from one opening to the next, without the rims between them."""
-    starts, ends = all_pairs(_ends(channel, before, spots), _ends(channel, after, None))
+    sources, targets = _ends(channel, before, spots), _ends(channel, after, None)
+    aimed = rays_over(channel, before, after, sources, targets)
+    starts, launch = all_pairs(sources, targets)[0][aimed.converged], aimed.launch[aimed.converged]
     faces, end = leg(channel, before, after)
-    aimed = aim(Sequence((*faces, end)), starts, ends)
-    starts, launch = starts[aimed.converged], aimed.launch[aimed.converged]
     met = trace(Sequence((*faces, end)), starts, launch).points
     return _Light(starts, launch, np.concatenate([starts[None], met]))
 
 
 def _edge_wave(
-    setup: Setup, channel: Channel, rim: Rim, before: Rim | None, after: Rim | None, light: _Light, spots: np.ndarray
-) -> EdgeWave:
-    """How far the light from one neighbour to the next keeps from a rim, and how strong its wave is on the detector."""
+    setup: Setup, channel: Channel, rim: Rim, before: Rim | None, after: Rim | None, light: _Light,
+    over: LightOver | None, spots: np.ndarray,
+) -> EdgeWave:  # fmt: skip
+    """How far the light from one neighbour to the next keeps from a rim, and how strong its wave is on the detector.
+
+    light: between these two; over: light straight from the spot over the one before, None where that is the spot.
+    """
     sources, targets = _ends(channel, before, spots), _ends(channel, after, None)
     (leading, _), (trailing, end) = leg(channel, before, rim), leg(channel, rim, after)
     for places, between in ((sources, leading), (targets, trailing)):
@@ -277,7 +286,7 @@ def _edge_wave(
         return EdgeWave(rim, v, 1.0)
     waves = _waves(outline, x, y, scale, setup.assembly.beam.wavenumber * curvature)
     wave = float(np.sqrt(np.mean(np.minimum(waves, 1.0) ** 2)))
-    passed = _share_coming(setup, channel, rim, before, spots) * _share_going_on(setup, channel, rim, after)
+    passed = _share_coming(setup, channel, rim, over) * _share_going_on(setup, channel, rim, after)
     steepness = setup.assembly.beam.wavenumber * curvature * (outline.reach + float(np.nanmax(np.hypot(x, y))))
     return EdgeWave(rim, v, wave * passed, steepness)
 
@@ -309,14 +318,14 @@ def _waves(outline, x: np.ndarray, y: np.ndarray, scale: float, bend: float) -> 
     return np.sqrt(sum(edge_wave(scale * side) ** 2 for side in sides))
 
 
-def _share_coming(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots: np.ndarray) -> float:
+def _share_coming(setup: Setup, channel: Channel, rim: Rim, over: LightOver | None) -> float:
     """How strong light is at a rim behind an opening: off the straight light, as much as the edge throws there.
 
     That is the edge's wave at the distance of the rim from the light, from the opening on.
     """
-    if before is None:
+    if over is None:
         return 1.0
-    hits = straight_on(channel, None, spots, before, hole_places(before.plane, (0.0, 1.0), 6), rim)
+    before, hits = over.opening, straight_on(channel, over, rim)
     if not len(hits):
         return 1.0
     x, y, _ = rim.plane.frame.to_local(hits).T
@@ -335,7 +344,8 @@ def _share_going_on(setup: Setup, channel: Channel, rim: Rim, after: Rim | None)
         return 1.0
     grid = channel.grid
     length = float(np.linalg.norm(grid.centre - after.plane.frame.origin))
-    hits = straight_on(channel, rim, _rim_points(rim, 8), after, hole_places(after.plane, (0.0, 1.0), 4), None)
+    from_rim = light_over(channel, rim, _rim_points(rim, 8), after, hole_places(after.plane, (0.0, 1.0), 4))
+    hits = straight_on(channel, from_rim, None)
     offset = (hits - grid.centre) @ np.stack([grid.u, grid.v], axis=1)
     beyond = np.maximum(np.abs(offset) - np.array(grid.half_size), 0.0)
     # Where no ray comes over the opening, as far aside as it is to the detector.

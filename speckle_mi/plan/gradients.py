@@ -6,10 +6,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..geometry.outline import Circle
-from ..geometry.pairs import all_pairs
-from ..optics.aim import aim
-from ..optics.sequence import Sequence
-from .legs import leg
+from .legs import rays_over
 from .places import FINE, detector_places, hole_places
 from .way import Channel, PhaseGradient, Rim
 
@@ -51,12 +48,11 @@ def phase_gradient(
     Raises InputError where no ray leads over the rim.
     """
     samples = hole_places(rim.plane, *FINE)
-    (leading, middle), (trailing, end) = leg(channel, before, rim), leg(channel, rim, after)
-    coming = aim(Sequence((*leading, middle)), *reversed(all_pairs(samples, sources)))
-    going = aim(Sequence((*trailing, end)), *all_pairs(samples, targets))
+    coming = rays_over(channel, before, rim, sources, samples)
+    going = rays_over(channel, rim, after, samples, targets)
     tangents = rim.plane.frame.axes[:, :2]
     k = 2 * np.pi * rim.index / wavelength
-    arriving = k * (coming.arrival @ tangents).reshape(len(samples), -1, 1, 2)
+    arriving = k * (coming.arrival @ tangents).reshape(-1, len(samples), 2).swapaxes(0, 1)[:, :, None]
     leaving = k * (going.launch @ tangents).reshape(len(samples), 1, -1, 2)
     gradient = (arriving - leaving).reshape(len(samples), -1, 2)
     if not np.isfinite(gradient).any():

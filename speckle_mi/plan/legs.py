@@ -5,13 +5,18 @@ An end is given as the rim that it lies on; None stands for the spot before a le
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..geometry.pairs import all_pairs
-from ..optics.aim import aim
+from ..optics.aim import AimedPaths, aim, chief_ray
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import trace
 from .way import Channel, Rim, without_rims
+
+_SAME_MIDDLE = 6
+"""Digits [mm] to which the middles of two sets of places are the same."""
 
 
 def leg(channel: Channel, before: Rim | None, after: Rim | None) -> tuple[tuple[Interaction, ...], Interaction]:
@@ -26,19 +31,56 @@ def leg_limits(channel: Channel, before: Rim | None, after: Rim | None) -> tuple
     return before.position if before else 0, after.position if after else len(channel.interactions)
 
 
-def straight_on(
-    channel: Channel, start: Rim | None, sources: np.ndarray, opening: Rim, holes: np.ndarray, goal: Rim | None
-) -> np.ndarray:
-    """Where light goes that comes over an opening and is not diffracted there: places (k, 3) in the plane of ``goal``.
+def rays_over(
+    channel: Channel, before: Rim | None, after: Rim | None, sources: np.ndarray, targets: np.ndarray,
+    rims: bool = False,
+) -> AimedPaths:  # fmt: skip
+    """The rays of a leg from all of sources (n, 3) to all of targets (m, 3), source by source.
 
-    sources: (n, 3) on ``start``; holes: (m, 3) on the opening. Rays that do not get there are left out.
+    rims: whether the rims between count, so that rays clear of them are preferred and their clearances told. What
+    takes longest is to find a chief ray, which is done once for all places around the same two.
     """
-    between, end = leg(channel, start, opening)
-    starts, over = all_pairs(sources, holes)
-    aimed = aim(Sequence((*between, end)), starts, over)
+    faces, end = leg(channel, before, after)
+    if rims:
+        first, last = leg_limits(channel, before, after)
+        faces = channel.interactions[first:last]
+    sequence = Sequence((*faces, end))
+    middles = sources.mean(axis=0), targets.mean(axis=0)
+    chief = None
+    if any(interaction.bends for interaction in faces):
+        place = tuple(np.round(np.concatenate(middles), _SAME_MIDDLE))
+        key = (channel.interactions, before, after, rims, place)
+        if key not in channel.chiefs:
+            channel.chiefs[key] = chief_ray(sequence, *(middle[:, None] for middle in middles))
+        chief = channel.chiefs[key]
+    return aim(sequence, *all_pairs(sources, targets), chief=chief)
+
+
+@dataclass(frozen=True)
+class LightOver:
+    """Light that comes over an opening: places (n, 3) in it and unit directions (n, 3) in which it arrives there."""
+
+    opening: Rim
+    places: np.ndarray
+    directions: np.ndarray
+
+
+def light_over(
+    channel: Channel, start: Rim | None, sources: np.ndarray, opening: Rim, holes: np.ndarray
+) -> LightOver:
+    """The light from sources (n, 3) on ``start`` that comes to places (m, 3) of an opening, as far as there is any."""
+    aimed = rays_over(channel, start, opening, sources, holes)
     good = aimed.converged
-    if not np.any(good):
+    return LightOver(opening, all_pairs(sources, holes)[1][good], aimed.arrival[good])
+
+
+def straight_on(channel: Channel, light: LightOver, goal: Rim | None) -> np.ndarray:
+    """Where light goes that is not diffracted at the opening: places (k, 3) in the plane of ``goal``.
+
+    Rays that do not get there are left out.
+    """
+    if not len(light.places):
         return np.empty((0, 3))
-    between, end = leg(channel, opening, goal)
-    hits = trace(Sequence((*between, end)), over[good], aimed.arrival[good]).points[-1]
+    between, end = leg(channel, light.opening, goal)
+    hits = trace(Sequence((*between, end)), light.places, light.directions).points[-1]
     return hits[np.all(np.isfinite(hits), axis=1)]

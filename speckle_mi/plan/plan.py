@@ -11,10 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
-from ..geometry.pairs import all_pairs
 from ..geometry.plane import PlaneGrid
-from ..optics.aim import aim
-from ..optics.sequence import Sequence, detector_plane
 from ..optics.unfold import unfold
 from ..propagation.coherent_sum import CERTAINTY
 from ..propagation.opening_quadrature import MOST_NODES, estimated_nodes
@@ -25,6 +22,7 @@ from .cost import expected_scatterers, opening_cost
 from .edges import SHARE, EdgeWave, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
 from .gradients import phase_gradients
+from .legs import rays_over
 from .opening_shadows import (
     hidden_pixels,
     is_summed_along_edge,
@@ -105,7 +103,7 @@ def make_plan(setup: Setup) -> Plan:
     if not arrivals.routes:
         return Plan((), (Stage(NO_WAY, reason=blocker),), (f"no light reaches the detector: {blocker}",))
     bare = [branch for route in arrivals.routes for branch in branches_of(setup, _bare(setup, route))]
-    strengths = [strength_of(setup, one.route, one.interactions, one.grid, spots) for one in bare]
+    strengths = [strength_of(setup, one) for one in bare]
     lit = arrivals.in_area and any(strength.lit for strength in strengths)
     channels, stages = _channels(setup, bare, strengths) if lit else ([_channel(setup, one) for one in bare], [])
     if arrivals.goes_on:
@@ -375,8 +373,7 @@ def _why_not_geometric(setup: Setup, channel: Channel) -> str:
 
     It holds where every pair of places on spot and detector has exactly one ray, clear of a caustic.
     """
-    sequence = Sequence((*channel.interactions, detector_plane(channel.grid)))
-    aimed = aim(sequence, *all_pairs(setup.spots, _detector_samples(channel.grid)))
+    aimed = rays_over(channel, None, None, setup.spots, _detector_samples(channel.grid), rims=True)
     found = aimed.converged
     focused = np.any(found) and (np.min(aimed.spread[found]) < NEAR_CAUSTIC or np.ptp(aimed.caustics[found]) > 0)
     if focused or not np.any(found):

@@ -14,12 +14,9 @@ import numpy as np
 
 from ..geometry.frames import Frame
 from ..geometry.outline import Circle
-from ..geometry.pairs import all_pairs
-from ..optics.aim import aim
-from ..optics.sequence import Sequence
 from ..optics.surface import Surface
 from .fresnel import fresnel_distance
-from .legs import leg, leg_limits, straight_on
+from .legs import leg, leg_limits, light_over, rays_over, straight_on
 from .places import detector_places, hole_places
 from .setup import Setup
 from .way import Channel, Rim
@@ -86,12 +83,11 @@ def _needed(setup: Setup, channel: Channel, openings: list[Rim], spots: np.ndarr
 
 def _is_singular(channel: Channel, before: Rim | None, after: Rim | None, spots: np.ndarray) -> bool:
     """Whether not every pair of places at the ends of a leg has exactly one ray, clear of a caustic."""
-    between, end = leg(channel, before, after)
-    if not between:
+    if not leg(channel, before, after)[0]:
         return False
     sources = hole_places(before.plane, *_RINGS) if before else spots
     targets = hole_places(after.plane, *_RINGS) if after else detector_places(channel.grid)
-    aimed = aim(Sequence((*between, end)), *all_pairs(sources, targets))
+    aimed = rays_over(channel, before, after, sources, targets)
     if not np.all(aimed.converged):
         return True
     return bool(np.min(aimed.spread) < NEAR_CAUSTIC or np.ptp(aimed.caustics) > 0)
@@ -101,7 +97,7 @@ def _window(setup: Setup, channel: Channel, rim: Rim, before: Rim | None, spots:
     """A round window in a rim's plane around the straight light from an opening; for light from the spot, the rim."""
     if before is None:
         return rim
-    hits = straight_on(channel, None, spots, before, hole_places(before.plane, *_RINGS), rim)
+    hits = straight_on(channel, light_over(channel, None, spots, before, hole_places(before.plane, *_RINGS)), rim)
     if not len(hits):
         return None
     local = rim.plane.frame.to_local(hits)[:, :2]

@@ -12,7 +12,7 @@ from ..geometry.pose import Pose
 from ..propagation.costs import RECORDED, Costs
 from ..scattering.beam_kernel import TRUNCATION
 from ..scene.assembly import Assembly, Spot
-from .tracer import Tracer
+from .tracer import TARGET, Tracer, off_surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +34,23 @@ class Setup:
     def spot(self) -> Spot:
         """Middle of what scatters."""
         return self.assembly.spot_at(self.frame)
+
+    @cached_property
+    def boxes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers (k,) of all elements, and ``TARGET`` where it has a surface; lowest, highest corners (k, 3) [mm].
+
+        As wide as single precision may place them.
+        """
+        numbers = list(range(len(self.assembly.elements)))
+        bounds = [element.body.bounds for element in self.assembly.elements]
+        if self.assembly.target.points is None:
+            ends = self.assembly.target.body.bounds
+            placed = self.frame.to_world(np.stack(np.meshgrid(*ends.T), axis=-1).reshape(-1, 3))
+            numbers.append(TARGET)
+            bounds.append(np.array([placed.min(axis=0), placed.max(axis=0)]))
+        boxes = np.array(bounds).reshape(-1, 2, 3)
+        slack = np.array([off_surface(one) for one in boxes])[:, None]
+        return np.array(numbers, dtype=np.int64), boxes[:, 0] - slack, boxes[:, 1] + slack
 
     @property
     def front(self) -> np.ndarray | None:

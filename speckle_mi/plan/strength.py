@@ -7,13 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..geometry.pairs import all_pairs
-from ..geometry.plane import PlaneGrid
 from ..optics.aim import AimedPaths, aim
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.surface import Surface
 from ..optics.trace import trace
+from .legs import rays_over
 from .places import detector_places, hole_places
-from .routes import Route
 from .setup import Setup
 from .way import Channel
 
@@ -35,16 +34,17 @@ class Strength:
     amplitude: float
 
 
-def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...], grid: PlaneGrid, spots) -> Strength:
-    """How strong a way's light is; interactions, grid: the way with plane mirrors unfolded.
+def strength_of(setup: Setup, channel: Channel) -> Strength:
+    """How strong a way's light is.
 
     A ray from the spot to the detector clears all outlines, or rays from one place to the next (spot, openings,
     detector) go straight on. Where they miss the next, the edge of the opening before throws its wave there.
     """
-    straight = _straight(interactions, grid, spots)
+    spots, interactions, grid = setup.spots, channel.interactions, channel.grid
+    straight = _straight(channel, spots)
     if straight.lit:
         return straight
-    stops = [n for n, step in enumerate(route.steps) if step[2] == "pass"]
+    stops = [n for n, step in enumerate(channel.route.steps) if step[2] == "pass"]
     light, start = None, 0
     for stop in (*stops, None):
         last = len(interactions) if stop is None else stop
@@ -66,21 +66,21 @@ def strength_of(setup: Setup, route: Route, interactions: tuple[Interaction, ...
     return Strength(False, light.amplitude) if light.thrown else replace(straight, lit=True)
 
 
-def _straight(interactions: tuple[Interaction, ...], grid: PlaneGrid, spots: np.ndarray) -> Strength:
+def _straight(channel: Channel, spots: np.ndarray) -> Strength:
     """Whether a ray from the spot to one of some places on the detector clears all outlines; and how strong it is."""
-    aimed, clear = _aimed_at_detector(interactions, grid, spots, detector_places(grid))
+    aimed, clear = _aimed_at_detector(channel, spots, detector_places(channel.grid))
     found = aimed.converged
     if not np.any(found):
-        return Strength(False, 1 / _apart(spots, grid.centre[None]))
+        return Strength(False, 1 / _apart(spots, channel.grid.centre[None]))
     amplitude = float(np.sqrt(np.mean(np.minimum(aimed.amplitude[found], 1e100) ** 2)))
     return Strength(bool(np.any(clear)), amplitude)
 
 
 def _aimed_at_detector(
-    interactions: tuple[Interaction, ...], grid: PlaneGrid, spots: np.ndarray, places: np.ndarray
+    channel: Channel, spots: np.ndarray, places: np.ndarray
 ) -> tuple[AimedPaths, np.ndarray]:
     """Rays from all places on the spot to all of some places on the detector, and whether they clear all outlines."""
-    aimed = aim(Sequence((*interactions, detector_plane(grid))), *all_pairs(spots, places))
+    aimed = rays_over(channel, None, None, spots, places, rims=True)
     return aimed, aimed.converged & np.all(aimed.margins >= 0, axis=0)
 
 
@@ -173,5 +173,5 @@ def reached_share(channel: Channel, spots: np.ndarray) -> float:
     spots: (m, 3) places that stand for the spot. The root of the share of the detector that it reaches.
     """
     places = detector_places(channel.grid, _SHARE_SIDE)
-    _, reached = _aimed_at_detector(channel.interactions, channel.grid, spots, places)
+    _, reached = _aimed_at_detector(channel, spots, places)
     return float(np.sqrt(max(np.mean(reached), 0.5 / len(places))))

@@ -126,23 +126,9 @@ def _segment_free(setup: Setup, one: int, two: int, start: np.ndarray, end: np.n
 def _beside(setup: Setup, one: int, two: int, start: np.ndarray, end: np.ndarray, clear: float = 0.0) -> list[int]:
     """Numbers of what lies in the box around segments from start to end (n, 3) but at neither end."""
     low, high = np.fmin.reduce(np.fmin(start, end)), np.fmax.reduce(np.fmax(start, end))
-    bounds = {n: element.body.bounds for n, element in enumerate(setup.assembly.elements) if n not in (one, two)}
-    if setup.assembly.target.points is None and TARGET not in (one, two):
-        bounds[TARGET] = _target_bounds(setup)
-    found = []
-    for number, (lowest, highest) in bounds.items():
-        slack = clear + off_surface(np.array([lowest, highest]))
-        if np.all(lowest - slack <= high) and np.all(highest + slack >= low):
-            found.append(number)
-    return found
-
-
-def _target_bounds(setup: Setup) -> np.ndarray:
-    """(2, 3) corners of a box around the target where it stands [mm]."""
-    low, high = setup.assembly.target.body.bounds
-    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
-    placed = setup.frame.to_world(corners)
-    return np.array([placed.min(axis=0), placed.max(axis=0)])
+    numbers, lowest, highest = setup.boxes
+    overlaps = np.all((lowest - clear <= high) & (highest + clear >= low), axis=1)
+    return [number for number in numbers[overlaps].tolist() if number not in (one, two)]
 
 
 def _faces(scatterers: Scatterers, point: np.ndarray) -> np.ndarray:

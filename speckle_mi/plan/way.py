@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..geometry.frames import Frame
 from ..geometry.outline import Circle, OffsetCircle
 from ..geometry.plane import PlaneGrid
+from ..optics.aim import ChiefRay
 from ..optics.sequence import Interaction
 from ..optics.surface import Surface
 from .routes import Route
@@ -70,7 +71,8 @@ class Channel:
     what is done for it; gradients: of the light's phase over every opening; left_out: what the waves of edges that are
     not diffracted at amount to, relative to the field; hidden: pixels (rows, columns) that something hides from a part
     of the last opening; branches: the interactions of all ways over the same faces, this one's among them, where there
-    are several; cut_by: names of shapes that cast a shadow on the first opening.
+    are several; cut_by: names of shapes that cast a shadow on the first opening; chiefs: chief rays of its legs that
+    have been found, by what ``legs.rays_over`` calls them.
     """
 
     route: Route
@@ -84,6 +86,7 @@ class Channel:
     hidden: np.ndarray | None = None
     branches: tuple[tuple[Interaction, ...], ...] = ()
     cut_by: tuple[str, ...] = ()
+    chiefs: dict[tuple, ChiefRay | None] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def has_power(self) -> bool:
