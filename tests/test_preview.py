@@ -102,4 +102,4 @@ def test_drawing_as_svg_names_every_part_and_warns_of_dark_ways(mitsuba, tmp_pat
 
 def test_bad_output_is_refused(mitsuba, tmp_path, capsys):
     assert command(main, [str(SCENES / "folded.xml"), "-o", str(tmp_path / "f.bmp")]) == BAD_INPUT
-    assert "must end in .png or .svg" in capsys.readouterr().err and not list(tmp_path.iterdir())
+    assert "must end in .png, .svg or .html" in capsys.readouterr().err and not list(tmp_path.iterdir())

@@ -7,7 +7,7 @@ of its axes.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..scattering.beam import Beam
 from ..scene.assembly import Assembly
 from ..scene.body import Body
 from ..scene.elements import OUTSIDE, Element
+from .problems import Problem, dark_ways, missed_beams
 
 _ALONG_PROFILE = 61
 """Places along the section of a face."""
@@ -55,7 +56,8 @@ class Part:
 @dataclass(frozen=True)
 class Layout:
     """axes: (3, 3) columns across the drawing, up in the side view and up in the view from above; parts; beams: lines
-    of the lasers' widths and axes; rays: by way, the chief ray first; facts: (what, value in words); warnings."""
+    of the lasers' widths and axes; rays: by way, the chief ray first; facts: (what, value in words); warnings;
+    problems: what is wrong, where it is."""
 
     axes: np.ndarray
     origin: np.ndarray
@@ -64,6 +66,7 @@ class Layout:
     rays: Mapping[str, list[np.ndarray]]
     facts: tuple[tuple[str, str], ...]
     warnings: tuple[str, ...]
+    problems: tuple[Problem, ...] = ()
 
 
 def layout_of(assemblies: Mapping[str, Assembly]) -> Layout:
@@ -77,14 +80,18 @@ def layout_of(assemblies: Mapping[str, Assembly]) -> Layout:
     spot = first.spot_at(frame)
     parts = [_target(first.target.body, frame, axes)]
     parts += [_element(element, axes) for element in first.elements]
-    rays, warnings = {}, []
+    rays, warnings, problems = {}, [], []
     for name, assembly in assemblies.items():
         parts.append(_detector(name, assembly, axes))
-        plan = Simulation(assembly).plan()
+        simulation = Simulation(assembly)
+        plan, setup = simulation.plan(), simulation.setup()
         several = f"{name}: " if len(assemblies) > 1 else ""
         for channel in plan.channels:
             rays[several + channel.route.label] = drawn_rays(channel, spot.point, assembly.detector)
         warnings += [several + warning for warning in plan.warnings]
+        problems += [replace(one, words=several + one.words if one.words else "") for one in dark_ways(setup, plan)]
+    problems = missed_beams(setup) or problems
+    warnings += [one.words for one in problems if one.words and one.ray is None and one.words not in str(warnings)]
     size = _size(parts, spot.point)
     beams = []
     for lit in first.named_parts:
@@ -92,7 +99,7 @@ def layout_of(assemblies: Mapping[str, Assembly]) -> Layout:
         beams.append(lines)
         parts.append(Part(lit.light, "laser", ((), ()), place))
     facts = tuple(_facts(first, frame, assemblies, rays))
-    return Layout(axes, frame.origin, tuple(parts), tuple(beams), rays, facts, tuple(warnings))
+    return Layout(axes, frame.origin, tuple(parts), tuple(beams), rays, facts, tuple(warnings), tuple(problems))
 
 
 def _size(parts: list[Part], spot: np.ndarray) -> float:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..images.field_image import FieldImage
+from ..images.levels import block_means, root_levels, white_level
 _BYTES = 2_000_000
 """Of the pictures of all detectors together, as they are before any compression."""
 
@@ -18,9 +19,6 @@ _LARGEST, _SMALLEST = 192, 48
 
 _OVERVIEW = 512
 """Longer side of the whole image at rest [px]."""
-
-_WHITE = 0.995
-"""Quantile of the image at rest that is shown white."""
 
 _SAME_LIGHT = 0.05
 """Difference from the field's own intensity, over its mean, from which an image is kept besides the field."""
@@ -88,7 +86,7 @@ class Slides:
     def _begin(self, image: FieldImage) -> None:
         measured = np.asarray(image.measured, dtype=np.float64)
         amplitude = None if image.field is None else np.abs(image.field)
-        self._white = (_quantile(measured), 1.0 if amplitude is None else _quantile(amplitude))
+        self._white = (white_level(measured), 1.0 if amplitude is None else white_level(amplitude))
         self._is_apart = amplitude is not None and (
             image.dn is not None
             or float(np.abs(measured - amplitude**2).mean()) > _SAME_LIGHT * max(float(measured.mean()), 1e-300)
@@ -100,12 +98,12 @@ class Slides:
         self._side = min(side, rows), min(side, columns)
         self.corner = _around_light(measured, self._side)
         self.reduced = max(1, -(-max(rows, columns) // max(int(_OVERVIEW * np.sqrt(self.share)), 64)))
-        self.overview = _root(_block_means(measured, self.reduced), self._white[0])
+        self.overview = root_levels(block_means(measured, self.reduced), self._white[0])
 
     def _slide(self, displacement: float, image: FieldImage) -> Slide:
         row, column = self.corner
         cut = np.s_[row : row + self._side[0], column : column + self._side[1]]
-        light = _root(image.measured[cut], self._white[0])
+        light = root_levels(image.measured[cut], self._white[0])
         if image.field is None:
             return Slide(displacement, light, None, None)
         complex_field = image.field[cut]
@@ -114,18 +112,6 @@ class Slides:
         if self._is_apart:
             amplitude = np.clip(np.round(255 * np.abs(complex_field) / self._white[1]), 0, 255).astype(np.uint8)
         return Slide(displacement, light, phase.astype(np.uint8), amplitude)
-
-
-def _quantile(values: np.ndarray) -> float:
-    """The level that is shown white; 1 for an image without light."""
-    finite = values[np.isfinite(values)]
-    return float(np.quantile(finite, _WHITE)) if finite.size and finite.max() > 0 else 1.0
-
-
-def _root(values: np.ndarray, white: float) -> np.ndarray:
-    """uint8, in which the eye's steps and speckle's dark regions are better kept than in levels of intensity."""
-    with np.errstate(invalid="ignore"):
-        return np.nan_to_num(np.round(255 * np.sqrt(np.clip(values / (white or 1.0), 0, 1)))).astype(np.uint8)
 
 
 def _around_light(measured: np.ndarray, side: tuple[int, int]) -> tuple[int, int]:
@@ -138,12 +124,3 @@ def _around_light(measured: np.ndarray, side: tuple[int, int]) -> tuple[int, int
         centre = (size - 1) / 2 if not total > 0 else float(weights.sum(axis=1 - axis) @ np.arange(size) / total)
         corner.append(int(np.clip(round(centre - length / 2), 0, size - length)))
     return corner[0], corner[1]
-
-
-def _block_means(values: np.ndarray, block: int) -> np.ndarray:
-    """Means of squares of ``block`` pixels, at the far sides of what is left over."""
-    for axis in (0, 1):
-        starts = np.arange(0, values.shape[axis], block)
-        counts = np.diff(np.append(starts, values.shape[axis]))
-        values = np.add.reduceat(values, starts, axis=axis) / np.expand_dims(counts, 1 - axis)
-    return values

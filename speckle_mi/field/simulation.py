@@ -84,6 +84,10 @@ class Simulation:
         """
         return self._plan(self._setup(self.assembly, pose, options))
 
+    def setup(self, pose: Pose | None = None) -> Setup:
+        """What the plan of a frame is made for."""
+        return self._setup(self.assembly, pose, None)
+
     def cost(self, pose: Pose | None = None, options: Options | None = None) -> Cost:
         """What a frame will cost, known beforehand from its plans. Raises SceneError as :meth:`plan`."""
         setup = self._setup(self.assembly, pose, options)

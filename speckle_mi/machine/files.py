@@ -22,6 +22,9 @@ from ..errors import InputError
 DRAWINGS = (".png", ".svg")
 """Endings of what is drawn."""
 
+PAGES = (".html",)
+"""Endings of pages."""
+
 
 def require_output(path: str | os.PathLike, suffix: str = "") -> None:
     """Raises OSError when no file can be written at ``path``, InputError when it ends other than in ``suffix``.
@@ -36,10 +39,14 @@ def require_output(path: str | os.PathLike, suffix: str = "") -> None:
     remove_abandoned(folder)
 
 
-def require_picture(path: str | os.PathLike) -> None:
-    """Raises InputError where ``path``, that ``-o`` gives, names no drawing, else as :func:`require_output`."""
-    if Path(path).suffix.lower() not in DRAWINGS:
-        raise InputError(f"-o {path}: must end in {' or '.join(DRAWINGS)}")
+def require_picture(path: str | os.PathLike, pages: bool = False) -> None:
+    """Raises InputError where ``path``, that ``-o`` gives, names no drawing, else as :func:`require_output`.
+
+    pages: whether it may be a page, too.
+    """
+    endings = DRAWINGS + (PAGES if pages else ())
+    if Path(path).suffix.lower() not in endings:
+        raise InputError(f"-o {path}: must end in {', '.join(endings[:-1])} or {endings[-1]}")
     require_output(path)
 
 

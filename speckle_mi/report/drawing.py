@@ -90,6 +90,7 @@ def _extent(layout: Layout, view: int) -> tuple[np.ndarray, np.ndarray]:
     lines = [line.points for part in layout.parts for line in part.lines[view]]
     lines += [line.points for beam in layout.beams for line in beam]
     lines += [ray for rays in layout.rays.values() for ray in rays]
+    lines += [problem.place[None] for problem in layout.problems]
     points = np.concatenate([_flat(layout, one, view) for one in lines])
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.06 * np.max(high - low)
@@ -112,6 +113,11 @@ def _draw_view(axes: Axes, layout: Layout, view: int, across, up) -> None:
             flat = _flat(layout, ray, view)
             axes.plot(*flat.T, color=WAYS[number % len(WAYS)], linewidth=1.3 if place == 0 else 0.7,
                       linestyle="-" if place == 0 else (0, (5, 2)), zorder=3)  # fmt: skip
+    for problem in layout.problems:
+        if problem.ray is not None:
+            axes.plot(*_flat(layout, problem.ray, view).T, color=BEAM, linewidth=0.9, linestyle=":", zorder=5)
+        place = _flat(layout, problem.place[None], view)
+        axes.plot(*place.T, "x", color=BEAM, markersize=7, markeredgewidth=2, zorder=7)
     for lines in layout.beams:
         for place, line in enumerate(lines):
             axes.plot(*_flat(layout, line.points, view).T, color=BEAM, linewidth=1.2 if place == 0 else 0.8,
@@ -131,12 +137,11 @@ def _label(figure: Figure, axes: Axes, layout: Layout, view: int) -> None:
     """Names above what they belong to; those that would lie on one another go up a line, with a thin leader."""
     renderer, taken = figure.canvas.get_renderer(), []
     background = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6}
-    for part in sorted(layout.parts, key=lambda one: float((one.place - layout.origin) @ layout.axes[:, 0])):
-        anchor, lift = _anchor(layout, part, view), 0.5 if part.lines[view] else -0.6
+    for name, anchor, lift, colour in _names(layout, view):
         while True:
             text = axes.annotate(
-                part.name, anchor, (0, lift * FONT), textcoords="offset points", fontsize=FONT - 1.5, ha="center",
-                va="bottom", zorder=6, bbox=background,
+                name, anchor, (0, lift * FONT), textcoords="offset points", fontsize=FONT - 1.5, ha="center",
+                va="bottom", zorder=8, bbox=background, color=colour,
                 arrowprops={"arrowstyle": "-", "color": "0.55", "linewidth": 0.5} if lift > 1 else None,
             )  # fmt: skip
             text.update_positions(renderer)
@@ -146,6 +151,17 @@ def _label(figure: Figure, axes: Axes, layout: Layout, view: int) -> None:
                 break
             text.remove()
             lift += _LABEL
+
+
+def _names(layout: Layout, view: int) -> list[tuple[str, np.ndarray, float, str]]:
+    """What stands at which place (2,) of a view, how high above it [heights of letters], and its colour."""
+    found = []
+    for part in sorted(layout.parts, key=lambda one: float((one.place - layout.origin) @ layout.axes[:, 0])):
+        found.append((part.name, _anchor(layout, part, view), 0.5 if part.lines[view] else -0.6, "black"))
+    for problem in layout.problems:
+        if problem.words:
+            found.append((problem.words, _flat(layout, problem.place[None], view)[0], 0.6, BEAM))
+    return found
 
 
 def _anchor(layout: Layout, part: Part, view: int) -> np.ndarray:

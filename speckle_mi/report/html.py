@@ -39,12 +39,17 @@ class Cell:
     interval: tuple[float, float] | None = None
 
 
-def page(title: str, lead: str, sections: Sequence[Section], data: Mapping[str, object] | None = None) -> str:
-    """The whole page. lead: HTML below the title; data: named values that it carries for programs, as JSON."""
+def page(
+    title: str, lead: str, sections: Sequence[Section], data: Mapping[str, object] | None = None,
+    scripts: Sequence[str] = (),
+) -> str:  # fmt: skip
+    """The whole page. lead: HTML below the title; data: named values that it carries for programs, as JSON; scripts:
+    files of this folder besides the one that every page has."""
     links = "\n".join(f'<a href="#{one.anchor}">{text(one.heading)}</a>' for one in sections)
     bodies = "\n".join(
         f'<section id="{one.anchor}">\n<h2>{text(one.heading)}</h2>\n{one.body}\n</section>' for one in sections
     )
+    code = "".join(f"<script>\n{_file(name)}</script>\n" for name in ("page.js", *scripts))
     carried = "\n".join(_json_block(value, f'id="{name}" ') for name, value in (data or {}).items())
     return f"""<!DOCTYPE html>
 <html lang="en">
@@ -66,9 +71,7 @@ def page(title: str, lead: str, sections: Sequence[Section], data: Mapping[str, 
 {bodies}
 <footer>speckle_mi {__version__}</footer>
 {carried}
-<script>
-{_file("page.js")}</script>
-</body>
+{code}</body>
 </html>
 """
 
