@@ -4,8 +4,9 @@
 
 Summaries are those of the commands sensitivity and sweep, of one detector each or of all of a scene; the shifts are as
 the command correlate prints them, in the detectors' order or with their names in a column ``detector``: the summary's,
-or their ids in the scene. Each motion has an uncertainty from
-that of the shifts and from what one surface's sensitivities differ from the mean by.
+or their ids in the scene. Each motion has an uncertainty from that of the shifts and from what one surface's
+sensitivities differ from the mean by. Behind an aperture the light's centre of gravity counts, too, where the table has
+it and the summary is a sweep's, which tells by how much it scatters over surfaces.
 """
 
 from __future__ import annotations
@@ -26,8 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     from .geometry.pose import motions_named
     from .machine.files import require_output, write_json
-    from .measurement.observability import estimated_motion, observability
-    from .report.pose_report import print_motions, read_detectors, read_shifts, to_json
+    from .measurement.observability import observability
+    from .report.pose_report import print_motions, read_detectors, read_measured, to_json
 
     *summaries, shifts = options.files
     if not summaries:
@@ -37,12 +38,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.out is not None:
         require_output(options.out, ".json")
     detectors = [one for path in summaries for one in read_detectors(path, dofs)]
-    matrix = np.concatenate([one.matrix for one in detectors])
-    scatter = np.concatenate([one.scatter for one in detectors])
+    measured = read_measured(shifts, detectors)
     scale = np.full(len(dofs), options.range / 2)
-    seen = observability(matrix, scale)
-    table = read_shifts(shifts, [one.name for one in detectors])
-    estimates = [estimated_motion(matrix, scatter, *one, scale) for one in table]
+    seen = observability(measured.matrix, scale)
+    estimates = measured.estimates(scale)
     if options.out is not None:
         write_json(options.out, to_json(dofs, seen, estimates))
     if not options.quiet:

@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from conftest import SCENES
 from scene_builder import direction, free_space
 from test_commands import DONE, refused, run
 
@@ -17,6 +18,12 @@ MOTION = np.array([0.004, -0.003, 0.006, 0.005, -0.004, 0.006])
 """All six at once [mm, deg], of which a pattern of the scene below loses little."""
 
 STANDARD_UNCERTAINTIES = 4.0
+COARSE = {"width": 124, "height": 80, "pixel_pitch": 0.036, "tolerance": 0.01}
+"""Of the integrated sensor, whose light fills the same area with fewer pixels."""
+
+AWAY = 1.5
+"""How far its target moves [mm]: the pattern is lost many times over."""
+
 STATED_AT_MOST = 0.02
 """Uncertainty [mm or deg] that a motion of some thousandths must not be hidden in."""
 
@@ -108,6 +115,44 @@ def test_a_known_motion_of_all_six_is_recovered_from_rendered_images(three_detec
     motion, sigma = (np.array(list(found["motions"][0][name].values())) for name in ("motion", "sigma"))
     assert np.all(np.abs(motion - MOTION) < STANDARD_UNCERTAINTIES * sigma), (motion, sigma)
     assert np.all(sigma < STATED_AT_MOST), sigma
+
+
+# A detector behind an aperture: the centre of gravity of the light
+
+
+@pytest.fixture(scope="module")
+def behind_an_aperture(tmp_path_factory):
+    """A folder with the integrated sensor's sweep, and its pictures at rest and after it came nearer."""
+    folder = tmp_path_factory.mktemp("aperture")
+    scene = str(SCENES / "integrated_sensor.xml")
+    coarse = [f"-D{name}={value}" for name, value in COARSE.items()]
+    done = run("sweep", scene, *coarse, "--dof", "x,z", "--range", "0.2", "--steps", "2", "--seeds", "6",
+               "--out", "swept", "--keep", "none", cwd=folder)  # fmt: skip
+    assert done.returncode == DONE, done.stderr
+    for name, pose in (("rest", "x=0"), ("moved", f"z={AWAY}")):
+        done = run("render", scene, *coarse, "-Dseed=40", "--pose", pose, "-o", f"{name}.exr", cwd=folder)
+        assert done.returncode == DONE, done.stderr
+    return folder
+
+
+def test_the_centre_of_gravity_tells_how_far_a_target_came_nearer_whose_pattern_is_lost(behind_an_aperture):
+    folder = behind_an_aperture
+    correlated = run("correlate", "rest.exr", "moved.exr", "--csv", cwd=folder)
+    assert ",ok," not in correlated.stdout
+    (folder / "shifts.csv").write_text(correlated.stdout)
+    done = run("pose", "swept/summary.json", "shifts.csv", "--dof", "x,z", "--out", "motion.json", cwd=folder)
+    assert done.returncode == DONE, done.stderr
+    found = json.loads((folder / "motion.json").read_text())["motions"][0]
+    assert found["motion"]["x"] is None  # only the pattern knows of it
+    error, sigma = found["motion"]["z"] - AWAY, found["sigma"]["z"]
+    assert abs(error) < STANDARD_UNCERTAINTIES * sigma and sigma < 0.1 * AWAY, (error, sigma)
+
+
+def test_where_nothing_was_measured_there_is_no_motion(tmp_path):
+    entry = {"value": 1.0, "ci95": [0.9, 1.1]}
+    (tmp_path / "x.json").write_text(json.dumps({"sensitivity": {"x": {"u": entry, "v": entry}}}))
+    (tmp_path / "shifts.csv").write_text("shift_u_um,shift_v_um,status\n,,not significant\n")
+    refused(run("pose", "x.json", "shifts.csv", "--dof", "x", cwd=tmp_path), "of motion 1 no shift was measured")
 
 
 @pytest.mark.parametrize(
