@@ -17,9 +17,10 @@ class Placement:
     """
 
     def __init__(self, props: mi.Properties) -> None:
-        self._set(read_rigid_transform(props))
+        self.put(read_rigid_transform(props))
 
-    def _set(self, matrix: np.ndarray) -> None:
+    def put(self, matrix: np.ndarray) -> None:
+        """Takes a rigid (4, 4) transform in double precision."""
         self.frame = Frame(origin=matrix[:3, 3].copy(), axes=matrix[:3, :3].copy())
         self.to_world = mi.Transform4f(matrix)
 
@@ -35,4 +36,4 @@ class Placement:
         """Takes a changed ``to_world`` over; SceneError if it does more than rotate and translate."""
         if "to_world" in keys:
             matrix = np.asarray(self.to_world.matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
-            self._set(check_rigid(where, matrix))
+            self.put(check_rigid(where, matrix))

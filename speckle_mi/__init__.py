@@ -51,6 +51,7 @@ _PUBLIC = {
     "load_detectors": "scene.load",
     "load_scene": "scene.load",
     "one_frame_sensitivity": "experiments.one_frame",
+    "propagate_tolerances": "studies.uncertainty",
     "read_image": "images.pictures",
     "theory": "theory",
 }

@@ -67,10 +67,12 @@ class OneFrameResult:
 class OneFrame:
     """The measurement on one simulation: holds which pixels are looked at."""
 
-    def __init__(self, simulation: Simulation) -> None:
+    def __init__(self, simulation: Simulation, pixels: int | None = None) -> None:
+        """pixels: how many are looked at, about; as many as the speckles need unless given."""
         self.simulation = simulation
         self._grid = simulation.assembly.detector
-        self._pixels = sampled_pixels(self._grid, FEWEST_PIXELS)
+        self._as_needed = pixels is None
+        self._pixels = sampled_pixels(self._grid, pixels or FEWEST_PIXELS)
         self.result = OneFrameResult(pixels=len(self._pixels))
 
     def measure(self, seeds: Iterable[int], done: Callable[[], None] = lambda: None) -> None:
@@ -106,7 +108,7 @@ class OneFrame:
         area = self._grid.size * self._grid.pitch**2
         self.result.speckles = flow.speckles(area)
         wanted = int(np.clip(PIXELS_A_SPECKLE * self.result.speckles, FEWEST_PIXELS, MOST_PIXELS))
-        if wanted <= len(self._pixels) or len(self._pixels) == self._grid.size:
+        if not self._as_needed or wanted <= len(self._pixels) or len(self._pixels) == self._grid.size:
             return flow
         self._pixels = sampled_pixels(self._grid, wanted)
         self.result.pixels = len(self._pixels)

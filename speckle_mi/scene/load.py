@@ -66,13 +66,18 @@ def open_scene(path: str, defaults: Sequence[str], variant: str):
 
     _require_file(path)
     set_variant(variant)
-    values = {}
-    for text in defaults:
+    return _opened(path, dict(split_defaults(defaults)), "-D ")
+
+
+def split_defaults(texts: Sequence[str]) -> list[tuple[str, str]]:
+    """Names and values of the flag ``-D``. Raises InputError for what is not ``name=value``."""
+    pairs = []
+    for text in texts:
         name, separator, value = text.partition("=")
         if not separator or not name or not value:
             raise InputError(f"-D {text!r}: must be name=value")
-        values[name] = value
-    return _opened(path, values, "-D ")
+        pairs.append((name, value))
+    return pairs
 
 
 def _require_file(path: str) -> None:

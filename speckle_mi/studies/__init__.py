@@ -1,0 +1,1 @@
+"""What a designer asks of many assemblies: what tolerances do to one, which is best, what the best would be."""
