@@ -147,6 +147,19 @@ def add_force(made: argparse.ArgumentParser) -> None:
     made.add_argument("--force", action="store_true", help=help_text)
 
 
+def add_execution(made: argparse.ArgumentParser) -> None:
+    """The flags of every study: who does its jobs, for ``execution.executor_of`` and ``execution.Shard``."""
+    made.add_argument(
+        "--scheduler", metavar="S",
+        help="have the work done by N processes of this machine (local:N), or by the workers of a dask scheduler "
+        "(tcp://host:8786); needs the extra 'cluster' (default: this process)",
+    )  # fmt: skip
+    made.add_argument(
+        "--shard", metavar="I/N",
+        help="do the I-th of N parts only, beside others with the same DIR; the last one to end writes the results",
+    )  # fmt: skip
+
+
 SURFACES = 8
 """Surfaces that sensitivities are measured on unless asked otherwise."""
 
@@ -165,10 +178,30 @@ def add_surfaces(made: argparse.ArgumentParser) -> None:
     made.add_argument("--seeds", type=int, default=None, help=help_text)
 
 
+def add_precision(made: argparse.ArgumentParser) -> None:
+    """The flag of every command that adds surfaces until intervals are small, for ``Precision.parse``."""
+    made.add_argument(
+        "--precision", metavar="P",
+        help="add surfaces until no 95%% interval along u or v is wider than +- P: 1%% of the largest sensitivity to a "
+        "motion of the same kind, 0.01mm/mm, 0.02mm/deg, or several of these with commas",
+    )  # fmt: skip
+
+
 def surfaces_of(assembly, arguments: argparse.Namespace) -> int:
-    """How many surfaces are asked for: the user's own points are one, whatever its seed. Raises InputError."""
+    """How many surfaces are asked for, with --precision at first; the user's own points are one, whatever its seed.
+
+    Raises InputError.
+    """
+    precision = getattr(arguments, "precision", None)
     if assembly.target.points is None:
-        return SURFACES if arguments.seeds is None else arguments.seeds
+        count = SURFACES if arguments.seeds is None else arguments.seeds
+        if precision is not None and count < 2:
+            raise InputError(f"--seeds {count}: must be at least 2 with --precision, which rests on their scatter")
+        return count
+    if precision is not None:
+        raise InputError(
+            f"--precision {precision}: the target's own points are one surface, and no seed makes another: leave it out"
+        )
     if arguments.seeds is not None and arguments.seeds > 1:
         raise InputError(
             f"--seeds {arguments.seeds}: must be 1, the target's own points are one surface and no seed makes another"

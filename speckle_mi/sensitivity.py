@@ -11,7 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .command_line import (
-    add_detector, add_force, add_motions, add_surfaces, command, require_range, scene_parser, surfaces_of,
+    add_detector, add_force, add_motions, add_precision, add_surfaces, command, require_range, scene_parser,
+    surfaces_of,
 )  # fmt: skip
 from .errors import InputError
 
@@ -46,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     hashes = {name: assembly.fingerprint() for name, assembly in assemblies.items()}
     identity = {
         **({"detectors": hashes} if len(hashes) > 1 else {"scene_hash": first.fingerprint()}),
-        "dof": list(dofs), "seeds": _surfaces(first, options),
+        "dof": list(dofs), "seeds": surfaces_of(first, options),
         "first_seed": first.seed, "precision": options.precision, "range": options.range,
     }  # fmt: skip
     if options.out is not None:
@@ -100,29 +101,12 @@ def _precision(options):
     return None if options.precision is None else Precision.parse(options.precision)
 
 
-def _surfaces(assembly, options) -> int:
-    """How many surfaces there are at first."""
-    if options.precision is not None and assembly.target.points is not None:
-        raise InputError(
-            f"--precision {options.precision}: the target's own points are one surface, and no seed makes another: "
-            "leave it out"
-        )
-    count = surfaces_of(assembly, options)
-    if options.precision is not None and count < 2:
-        raise InputError(f"--seeds {count}: must be at least 2 with --precision, which rests on their scatter")
-    return count
-
-
 def _parser():
     made = scene_parser("sensitivity", "Measures sensitivities from one frame a surface.")
     made.epilog = EXAMPLE
     add_motions(made, "motions")
     add_surfaces(made)
-    made.add_argument(
-        "--precision", metavar="P",
-        help="add surfaces until no 95%% interval along u or v is wider than +- P: 1%% of the largest sensitivity to a "
-        "motion of the same kind, 0.01mm/mm, 0.02mm/deg, or several of these with commas",
-    )  # fmt: skip
+    add_precision(made)
     made.add_argument(
         "--range", type=float, default=0.2,
         help="width of the range of displacements for which scatter is stated, mm or deg (default: %(default)s)",

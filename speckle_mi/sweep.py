@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .command_line import (
-    SURFACES, add_detector, add_force, add_images, add_motions, add_surfaces, command, say, scene_parser, surfaces_of,
+    SURFACES, add_detector, add_execution, add_force, add_images, add_motions, add_precision, add_surfaces, command,
+    say, scene_parser, surfaces_of,
 )  # fmt: skip
 from .errors import InputError
 from .machine.interrupt import keeping
@@ -35,13 +36,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
-    from .experiments.sweep import run_sweeps
+    from .experiments.execution import Shard, executor_of, require_scheduler
+    from .experiments.precision import Precision
+    from .experiments.sweep import frames_at_a_time, run_sweeps
     from .experiments.sweep_result import SweepResult, frame_count
     from .machine.files import require_folder
     from .machine.journal import Journal
     from .scene.load import open_scene
 
-    settings = _settings(options)
+    settings, shard = _settings(options), Shard.parse(options.shard)
+    require_scheduler(options.scheduler)
+    if options.precision is not None:
+        Precision.parse(options.precision)
+        if not shard.is_whole:
+            raise InputError("--precision: adds surfaces by what all frames tell, must not be given with --shard")
     folder = require_folder(Path("results") / Path(options.scene).stem if options.out is None else options.out)
     scene = open_scene(options.scene, options.defaults, options.variant)
     from .experiments.kept_images import ALL, FIRST, NONE, images_to_keep
@@ -56,29 +64,39 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     assemblies = assemblies_from_scene(scene, options.detector)
     settings = _completed(settings, assemblies, options)
-    keep = options.keep or images_to_keep(assemblies, settings)
-    identity = _identity(assemblies, settings)
-    cost = Simulations(assemblies).cost(Pose())
+    identity = _identity(assemblies, settings, options)
+    simulations = Simulations(assemblies)
+    cost = simulations.cost(Pose())
     require_affordable(cost, options.force)
     if cost.seconds > WORTH_SAYING:
         count = frame_count(settings)
         say(options, f"expected: {cost}, {count} frames in about {duration(count * cost.seconds)}")
-    _claim(folder, identity, options.force)
     results = {name: SweepResult() for name in assemblies}
+    with executor_of(options.scheduler, frames_at_a_time(simulations)) as executor:
+        _claim(folder, identity, options)
+        is_repeated = (folder / "summary.json").exists()
 
-    def write_table() -> None:
-        # One that is whole already stays so until this one is.
-        records = {name: result.records for name, result in results.items()}
-        if not is_repeated or all(len(rows) == frame_count(settings) for rows in records.values()):
-            report.write_table(folder / "sweep.csv", records)
+        def write_table() -> None:
+            # One that is whole already stays so until this one is.
+            records = {name: result.records for name, result in results.items()}
+            if not is_repeated or all(len(rows) >= frame_count(settings) for rows in records.values()):
+                report.write_table(folder / "sweep.csv", records)
 
-    is_repeated = (folder / "summary.json").exists()
-    # An interrupted sweep keeps its finished frames and the table of them, and goes on from there the next time.
-    with keeping(write_table), Journal(folder / "jobs") as done:
-        run_sweeps(
-            assemblies, settings, folder / "frames", results, options.quiet, done=done, keep=keep,
-            pictures=options.images,
-        )  # fmt: skip
+        # An interrupted sweep keeps its finished frames and the table of them, and goes on from there the next time.
+        with keeping(write_table), Journal(folder / "jobs", shard.journal) as done:
+            while True:
+                keep = options.keep or images_to_keep(assemblies, settings)
+                left = run_sweeps(
+                    assemblies, settings, folder / "frames", results, options.quiet, executor, done, keep,
+                    options.images, shard,
+                )  # fmt: skip
+                if left or (more := _more_surfaces(simulations, settings, results, options)) is None:
+                    break
+                settings = replace(settings, seeds=more)
+    if left:
+        others = f"{left} of {frame_count(settings)} frames are others' to do"
+        say(options, f"{folder}: part {options.shard} is done, {others}")
+        return
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     found = {name: report.summarise(assembly, settings, results[name]) for name, assembly in assemblies.items()}
     for name, summary in found.items():
@@ -105,6 +123,7 @@ def _parser():
     )
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
     add_surfaces(parser)
+    add_precision(parser)
     window_help = "side of the correlation window, px (default: 256, less on a small detector; the paper's: 64)"
     parser.add_argument("--window", type=int, default=None, help=window_help)
     parser.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>)")
@@ -115,6 +134,7 @@ def _parser():
     )  # fmt: skip
     add_detector(parser)
     add_images(parser)
+    add_execution(parser)
     add_force(parser)
     return parser
 
@@ -169,7 +189,34 @@ def _completed(settings: SweepSettings, assemblies: Mapping[str, Assembly], opti
     return replace(settings, seeds=tuple(range(first.seed, first.seed + count)))
 
 
-def _identity(assemblies: Mapping[str, Assembly], settings: SweepSettings) -> dict:
+def _more_surfaces(simulations, settings: SweepSettings, results, options) -> tuple[int, ...] | None:
+    """The surfaces that the precision asked for takes, None where they are there. InputError for more than can be."""
+    if options.precision is None:
+        return None
+    from .experiments.precision import MOST_SURFACES, Precision
+    from .experiments.sweep_result import frames_of
+    from .report.sweep_report import fits_of
+
+    precision = Precision.parse(options.precision)
+    lacking, where = max(
+        precision.lacking(fits_of(one.assembly, settings, results[name], one.plan()))
+        for name, one in simulations.by_detector.items()
+    )
+    if lacking <= 1:
+        return None
+    count = precision.surfaces(len(settings.seeds), lacking)
+    most = min(MOST_SURFACES, MAX_FRAMES // frames_of(1, len(settings.dofs), len(settings.displacements)))
+    if len(settings.seeds) >= most:
+        raise InputError(
+            f"--precision {options.precision}: the interval of {where} is still {lacking:.3g} times as wide "
+            f"after {len(settings.seeds)} surfaces, ask for less"
+        )
+    say(options, f"{len(settings.seeds)} surfaces: the interval of {where} is {lacking:.3g} times as wide as asked for")
+    first = settings.seeds[0]
+    return tuple(range(first, first + min(count, most)))
+
+
+def _identity(assemblies: Mapping[str, Assembly], settings: SweepSettings, options) -> dict:
     """Everything that determines a sweep's results, as it is compared with what a folder already holds."""
     hashes = {name: assembly.fingerprint() for name, assembly in assemblies.items()}
     return {
@@ -178,25 +225,30 @@ def _identity(assemblies: Mapping[str, Assembly], settings: SweepSettings) -> di
         "displacements": settings.displacements.tolist(),
         "seeds": list(settings.seeds),
         "window": settings.window,
-    }
+    } | ({"precision": options.precision} if options.precision is not None else {})
 
 
-def _claim(folder: Path, identity: dict, force: bool) -> None:
-    """Makes the folder ready; InputError when it holds results of other settings and ``force`` is not given."""
+def _claim(folder: Path, identity: dict, options) -> None:
+    """Makes the folder ready; InputError when it holds results of other settings and ``--force`` is not given."""
     from .machine.files import refuse_other_settings, write_json
     from .machine.fragments import remove_abandoned
     from .machine.journal import SUFFIX as JOURNAL
 
-    settings_file = folder / "settings.json"
+    settings_file, force = folder / "settings.json", options.force
+    if options.shard and force:
+        raise InputError("--force: would take away what other parts have done, must not be given with --shard")
+    folder.mkdir(parents=True, exist_ok=True)
+    if options.shard:
+        _wait_for_others(folder, settings_file)
     if settings_file.is_file():
         try:
             held = json.loads(settings_file.read_text(encoding="utf-8"))
         except ValueError:
             held = None
         refuse_other_settings(folder, held, identity, force)
-    elif folder.is_dir() and any(folder.iterdir()) and not force:
+    elif any(folder.iterdir()) and not force:
         raise InputError(f"{folder}: is not empty and holds no sweep, give another --out or --force to write there")
-    (folder / "frames").mkdir(parents=True, exist_ok=True)
+    (folder / "frames").mkdir(exist_ok=True)
     remove_abandoned(folder / "frames")
     if force:
         for stale in (
@@ -209,6 +261,14 @@ def _claim(folder: Path, identity: dict, force: bool) -> None:
         ):
             stale.unlink(missing_ok=True)
     write_json(settings_file, identity)
+
+
+def _wait_for_others(folder: Path, settings_file: Path) -> None:
+    """Where another part has just begun in an empty folder, its settings are there in a moment."""
+    for _ in range(20):
+        if settings_file.is_file() or not any(folder.iterdir()):
+            return
+        time.sleep(0.1)
 
 
 if __name__ == "__main__":

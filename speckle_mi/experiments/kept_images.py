@@ -59,11 +59,16 @@ class KeptImages:
 
     def __exit__(self, kind, *_: object) -> None:
         try:
-            while kind is None and self._waiting:
-                self._waiting.popleft().result()
+            if kind is None:
+                self.settle()
         finally:
             # Where it went wrong, as the disk is full, say, the frames that wait are not tried.
             self._pool.shutdown(cancel_futures=True)
+
+    def settle(self) -> None:
+        """Waits until everything is written. Raises OSError where it cannot be."""
+        while self._waiting:
+            self._waiting.popleft().result()
 
     def are_wanted(self, is_of_first: bool) -> bool:
         """Whether something of the frame is to be written; is_of_first: of the first surface."""

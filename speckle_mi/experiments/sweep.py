@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..field.detectors import Simulations
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, unit_of
 from ..images.field_image import FieldImage
 from ..machine.cores import usable_cores
@@ -14,6 +15,7 @@ from ..machine.journal import Journal
 from ..machine.memory import excess
 from ..machine.progress import progress_bars
 from ..scene.assembly import Assembly
+from .execution import WHOLE, Shard
 from .frame_measurement import IMAGES, FrameMeasurement, FrameTask, SweptScene, in_single_precision
 from .jobs import Executor, InProcess, Job, Work
 from .kept_images import ALL, KeptImages
@@ -80,45 +82,48 @@ def run_sweeps(
     done: Journal | None = None,
     keep: str = ALL,
     pictures: str | None = None,
-) -> None:
+    shard: Shard = WHOLE,
+) -> int:
     """Makes the frames of a sweep of one or several detectors that are not in their ``results`` yet, and adds them.
 
     Images are written beside the computation: ``NAME.exr``, of several detectors ``NAME.ID.exr``. executor: who makes
     the frames (default: this process). done: an open journal of what earlier runs have finished, which is taken over
     where the images that are to stay are there, too. keep: which of the images stay, one of ``KEPT``. pictures: ``png``
-    or ``tiff``, to write what the cameras save of every frame as well.
+    or ``tiff``, to write what the cameras save of every frame as well. shard: which part of the frames to make; returns
+    how many others have not finished yet.
     """
     work = Work(FrameMeasurement, SweptScene.of(assemblies, settings.window))
     measurement = FrameMeasurement(work.given)
     if executor is None:
-        executor = InProcess(_frames_at_a_time(measurement))
+        executor = InProcess(frames_at_a_time(measurement.simulations))
+    if isinstance(executor, InProcess):
         executor.workplace.hold(work, measurement)
     planned = list(frames_of_sweep(settings))
     finished = _Finished(results, measurement, settings, len(planned))
     shown = _Shown(results, measurement)
     with KeptImages(frames, assemblies, keep, pictures) as images, progress_bars(quiet) as progress:
-        bar = progress.add_task("frames", total=len(planned))
-        missing: dict[str, SweptFrame] = {}
-        for one in planned:
-            if finished.has(one):
-                progress.advance(bar)
-                continue
-            job = Job(work, one.task)
-            held = done is not None and job.key in done and images.are_there(one.name, one.task, one.is_of_first)
-            if held:
-                finished.add(one, done[job.key])
-                progress.advance(bar)
-            else:
-                missing[job.key] = one
+        bar = progress.add_task("frames", total=len(planned), completed=sum(map(finished.has, planned)))
 
-        def jobs() -> Iterator[Job]:
-            for one in missing.values():
-                wanted = shown.wants(one) or images.are_wanted(one.is_of_first)
-                yield Job(work, one.task, IMAGES if wanted else None)
+        def take_over(wanted: Iterable[SweptFrame]) -> list[SweptFrame]:
+            """Adds those that the journal holds; returns the others."""
+            left = []
+            for one in wanted:
+                if finished.has(one):
+                    continue
+                key = Job(work, one.task).key
+                if done is not None and key in done and images.are_there(one.name, one.task, one.is_of_first):
+                    finished.add(one, done[key])
+                    progress.advance(bar)
+                else:
+                    left.append(one)
+            return left
 
-        for job, result in executor.results(jobs()):
+        left = take_over(planned)
+        own = {Job(work, one.task).key: one for one in left if shard.takes(one.number, len(planned))}
+        wanted = {key: IMAGES for key, one in own.items() if shown.wants(one) or images.are_wanted(one.is_of_first)}
+        for job, result in executor.results(Job(work, one.task, wanted.get(key)) for key, one in own.items()):
             key, made = job.key, result.pop(IMAGES, None)
-            one = missing[key]
+            one = own[key]
             shown.see(one, made)
 
             def finish(one: SweptFrame = one, key: str = key, result: dict = result) -> None:
@@ -129,7 +134,13 @@ def run_sweeps(
                 images.write(one.name, one.is_of_first, made, finish)
             else:
                 finish()
+        images.settle()
+        if done is not None and not shard.is_whole:
+            done.read_again()
+        if left := take_over(planned):
+            return len(left)
         shown.complete(planned, images)
+    return 0
 
 
 class _Finished:
@@ -199,7 +210,7 @@ class _Shown:
                 result.example = image.measured
 
 
-def _frames_at_a_time(measurement: FrameMeasurement) -> int:
+def frames_at_a_time(simulations: Simulations) -> int:
     """As many as there are cores, and memory for them."""
     threads = min(usable_cores(), MOST_THREADS)
-    return threads if not excess(threads * measurement.simulations.cost(Pose()).memory) else 1
+    return threads if not excess(threads * simulations.cost(Pose()).memory) else 1

@@ -26,6 +26,7 @@ def print_report(summary: dict) -> None:
     for title, axes in tables:
         heads, rows = sensitivity_table(axes, summary)
         print_table(console, heads, rows, title=title, left=(0, 1))
+    print_table(console, *resolution_table(summary), title="Resolution of one surface", left=(0, 1))
     for line in foot_lines(summary["fits"], [axis for _, axes in tables for axis in axes]):
         console.print(line)
     console.print(f"numerical error of the field {_numerical_error(summary['numerical_error'])}; "
@@ -53,6 +54,20 @@ def sensitivity_table(axes: tuple[str, str], summary: dict) -> tuple[list[str], 
         row.append(" / ".join(number(fitted[axis].scatter_um, "{:.1f}") for axis in axes))
         rows.append([*row, _paper_cell(comparison, dof, axes)] if published else row)
     return [*heads, *(["paper"] if published else [])], rows
+
+
+def resolution_table(summary: dict) -> tuple[list[str], list[list[str]]]:
+    """Heads and a row a motion: scatter of a shift, what images state of it, the least displacement that is seen."""
+    heads = ["motion", "unit", "scatter u / v (um)", "stated u / v (um)", "noise u / v (um)", "told from zero from"]
+    rows = []
+    for dof, found in summary["resolution"].items():
+        pairs = (
+            " / ".join(number(found[axis][kind], "{:.2g}", 0.0) for axis in "uv")
+            for kind in ("scatter_um", "predicted_um", "noise_um")
+        )
+        smallest = "any" if found["smallest"] == 0 else number(found["smallest"], "{:.2g}", 0.0)
+        rows.append([dof, found["unit"], *pairs, smallest])
+    return heads, rows
 
 
 def foot_lines(fits: dict[str, dict[str, Sensitivity]], axes: list[str]) -> list[str]:
@@ -88,7 +103,7 @@ def with_interval(fit: Sensitivity) -> str:
     return f"{fit.value:+.4f} ± {(high - low) / 2:.4f}" + (RESIDUALS if fit.basis == "residuals" else "")
 
 
-def number(value: float | None, form: str = "{:+.4f}") -> str:
+def number(value: float | None, form: str = "{:+.4f}", rounds_to_zero: float = _ROUNDS_TO_ZERO) -> str:
     if value is None or not math.isfinite(value):
         return "-"
-    return form.format(0.0 if abs(value) < _ROUNDS_TO_ZERO else value)  # without the sign of a rounded zero
+    return form.format(0.0 if abs(value) < rounds_to_zero else value)  # without the sign of a rounded zero

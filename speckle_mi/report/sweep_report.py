@@ -15,9 +15,10 @@ from ..experiments import published as paper
 from ..experiments.expectation import AXES, CENTRE_AXES, PATTERN_AXES, expected_correlation, expected_sensitivity
 from ..experiments.sweep_result import FrameRecord, SweepResult, SweepSettings
 from ..field.simulation import plan_of
-from ..geometry.pose import DEGREES_OF_FREEDOM, sensitivity_unit
+from ..geometry.pose import DEGREES_OF_FREEDOM, sensitivity_unit, unit_of
 from ..machine.files import for_part, write_csv, write_json
 from ..machine.system import system_information
+from ..measurement.resolution import resolution_of
 from ..measurement.sensitivity import Sensitivity, fit_sensitivity
 from ..plan.plan import Plan
 from ..plan.stage import Stage
@@ -75,7 +76,7 @@ def print_summaries(summaries: Mapping[str, dict]) -> None:
 def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) -> dict:
     """Sensitivities of every motion along every axis, with theory, the paper's figures and the errors kept apart."""
     grid, plan = assembly.detector, plan_of(assembly)
-    fits = _fit_all(assembly, settings, result, plan)
+    fits = fits_of(assembly, settings, result, plan)
     published = paper.published_assembly(assembly)
     frames = [record.seconds for record in result.records if not _is_nan(record.seconds)]
     lost = sum(record.status != "ok" for record in result.records)
@@ -90,6 +91,7 @@ def summarise(assembly: Assembly, settings: SweepSettings, result: SweepResult) 
         "seconds_per_frame": float(np.median(frames)) if frames else math.nan,
         "numerical_error": result.numerical_error,
         "sensitivity": {dof: {axis: fit.to_json() for axis, fit in fitted.items()} for dof, fitted in fits.items()},
+        "resolution": {dof: _resolution(settings, result, dof, fitted) for dof, fitted in fits.items()},
         "decorrelation": {dof: _decorrelation(assembly, settings, result, dof, plan) for dof in settings.dofs},
         "paper": None if published is None else paper_comparison(published, fits),
         "warnings": result.warnings,
@@ -128,9 +130,10 @@ def write_plots(
             )
 
 
-def _fit_all(
+def fits_of(
     assembly: Assembly, settings: SweepSettings, result: SweepResult, plan: Plan
 ) -> dict[str, dict[str, Sensitivity]]:
+    """By motion and axis, the sensitivities that a sweep has measured, beside theory."""
     expected = expected_sensitivity(assembly, plan)
     fits: dict[str, dict[str, Sensitivity]] = {}
     for dof in settings.dofs:
@@ -144,6 +147,20 @@ def _fit_all(
             known = (ncc, sigma) if axis in PATTERN_AXES else (None, None)
             fits[dof][axis] = fit_sensitivity(settings.displacements, shifts, known[0], theory, unit, known[1])
     return fits
+
+
+def _resolution(settings: SweepSettings, result: SweepResult, dof: str, fitted: dict[str, Sensitivity]) -> dict:
+    """By axis of the detector, and the smallest displacement that one of them tells from zero."""
+    found = {
+        axis: resolution_of(
+            settings.displacements, result.values(dof, f"shift_{axis}_um", settings),
+            result.values(dof, f"sigma_{axis}_um", settings), fitted[axis].value,
+        )
+        for axis in "uv"
+    }  # fmt: skip
+    smallest = [one.smallest for one in found.values() if math.isfinite(one.smallest)]
+    axes = {axis: asdict(one) for axis, one in found.items()}
+    return axes | {"smallest": min(smallest, default=math.nan), "unit": unit_of(dof)}
 
 
 def _column(axis: str) -> str:
