@@ -20,6 +20,7 @@ from scene_builder import (
     scene_of,
     target_xml,
 )
+from scipy import stats
 from test_commands import DONE, refused, run
 
 from speckle_mi import Pose, theory
@@ -284,6 +285,38 @@ def test_the_command_says_in_one_line_what_is_wrong(tmp_path, flags, said):
 
     done = run("sensitivity", str(SCENES / "tilted_laser.xml"), *flags, cwd=tmp_path)
     refused(done, said)
+
+
+@pytest.mark.parametrize(
+    "scene, dofs, width, defaults",
+    [
+        ("tilted_laser", "x,y,z,rx,ry,rz", 0.01, {}),
+        ("folded", "x,y,z,rx,ry,rz", 0.01, {}),
+        ("imaging", "x,ry", 0.004, {"width": 248, "height": 160}),
+    ],
+)
+def test_one_frame_says_what_a_sweep_of_small_range_measures(tmp_path, scene, dofs, width, defaults):
+    """Entries along u and v, those that are 0 included: within 1 % of the motion's largest, or chance."""
+    from conftest import SCENES
+
+    summaries = []
+    for command, flags, out in (
+        ("sweep", ("--range", str(width), "--steps", "2", "--seeds", "4", "--keep", "none", "--out", "swept"),
+         "swept/summary.json"),
+        ("sensitivity", ("--seeds", "8", "--out", "frame.json"), "frame.json"),
+    ):  # fmt: skip
+        given = [f"-D{name}={value}" for name, value in defaults.items()]
+        done = run(command, str(SCENES / f"{scene}.xml"), *given, "--dof", dofs, *flags, cwd=tmp_path)
+        assert done.returncode == DONE, done.stderr
+        summaries.append(json.loads((tmp_path / out).read_text())["sensitivity"])
+    swept, found = summaries
+    for dof in swept:
+        largest = max(abs(found[dof][axis]["value"]) for axis in "uv")
+        for axis in "uv":
+            errors = [np.ptp(one[dof][axis]["ci95"]) / 2 / quantile
+                      for one, quantile in ((swept, stats.t.ppf(0.975, 3)), (found, stats.t.ppf(0.975, 7)))]  # fmt: skip
+            difference = abs(swept[dof][axis]["value"] - found[dof][axis]["value"])
+            assert difference < max(0.01 * largest, 4 * np.hypot(*errors)), (dof, axis, difference, errors)
 
 
 def test_a_program_asks_for_sensitivities_in_one_line(shipped, simulate):
