@@ -20,7 +20,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..machine.cores import products_on_one_thread
-from .covariance import as_image, checked_image, deviation, in_range
+from .covariance import as_image, checked_image, deviation, deviation_in_range, in_range
 from .defects import Defects, Usual, defects_of, mosaic_gains, repaired, without_mosaic
 from .deformation import Deformation
 from .light import flatten, smoothing_of
@@ -116,7 +116,7 @@ class Correlator:
         if window is None:
             self._window = _lit_window(image, self._window)
         self._image, self._defects, self._mosaic = _cleaned(image, self._mask)
-        self._smoothing = self._asked or _smoothing_of(self._image, deviation(self._image))
+        self._smoothing = self._asked or _smoothing_of(self._image, deviation_in_range(self._image))
 
     def shift(self, moved: np.ndarray) -> Shift:
         """Shift of ``moved`` (rows, columns) from the reference.
@@ -188,7 +188,7 @@ class Correlator:
     def _looked_at(self, moved: np.ndarray) -> tuple[Matcher | None, np.ndarray | None, Defects, bool]:
         """The reference's window and the moved pattern, None without one; what stood out; whether it was a mosaic."""
         image, defects, mosaic = _cleaned(as_image(moved, "moved image"), self._mask, self._defects.usual)
-        pattern = deviation(image)
+        pattern = deviation_in_range(image)
         smoothing = self._smoothing or _smoothing_of(image, pattern)
         if smoothing is not None:
             pattern = deviation(flatten(image, smoothing))
@@ -197,7 +197,8 @@ class Correlator:
     def _matcher(self, smoothing: float | None) -> Matcher | None:
         """The reference's window, of its pattern without what a smoothing takes off; None without a pattern."""
         if smoothing not in self._matchers:
-            pattern = deviation(self._image if smoothing is None else flatten(self._image, smoothing))
+            even = smoothing is None
+            pattern = deviation_in_range(self._image) if even else deviation(flatten(self._image, smoothing))
             corner = tuple((n - w) // 2 for n, w in zip(self.shape, self._window))
             valid = self._valid(self._defects)
             self._matchers[smoothing] = None if pattern is None else Matcher(pattern, self._window, corner, valid)
@@ -223,14 +224,20 @@ def _checked_mask(mask: np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray
 def _cleaned(
     image: np.ndarray, mask: np.ndarray | None, usual: Usual | None = None
 ) -> tuple[np.ndarray, Defects, bool]:
-    """An image without mosaic, what stands out or is masked filled in; what stood out; whether it was a mosaic."""
+    """An image without mosaic, what stands out or is masked filled in; what stood out; whether it was a mosaic.
+
+    The image that is left is in range, see `in_range`.
+    """
     image = in_range(image)
     if (gains := mosaic_gains(image)) is not None:
         image = without_mosaic(image, gains)
     if mask is not None:
         image = repaired(image, ~mask)
     defects = defects_of(image, usual)
-    return (repaired(image, defects.mask) if defects.any else image), defects, gains is not None
+    if defects.any:
+        image = repaired(image, defects.mask)
+    changed = defects.any or mask is not None or gains is not None
+    return (in_range(image) if changed else image), defects, gains is not None
 
 
 def _smoothing_of(image: np.ndarray, pattern: np.ndarray | None) -> float | None:

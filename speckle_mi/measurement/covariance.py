@@ -27,12 +27,18 @@ LEAST_SEEN = 0.05
 """Covariance at a lag of two pixels below which the pattern is too fine to tell its top from noise."""
 
 
+_EXPONENT = 1000
+"""Largest power of two by which an image is scaled: its own stays in range, and so do squares of what is left."""
+
+
 def as_image(image: np.ndarray, name: str = "image") -> np.ndarray:
     """``image`` as a float64 (rows, columns) array of finite pixels.
 
     Raises InputError, naming the image, if it is not two-dimensional, empty, complex or holds NaN or infinity.
     """
-    return checked_image(image, name).astype(np.float64)
+    array = np.asarray(image)
+    # In float64 before it is looked at: sums of it are then several times as fast.
+    return checked_image(array if np.iscomplexobj(array) else array.astype(np.float64), name)
 
 
 def checked_image(image: np.ndarray, name: str = "image") -> np.ndarray:
@@ -55,18 +61,23 @@ def checked_image(image: np.ndarray, name: str = "image") -> np.ndarray:
 
 def deviation(image: np.ndarray) -> np.ndarray | None:
     """Finite float64 image minus its mean, divided by its rms deviation; None if the image is constant."""
-    scaled = in_range(image)
-    scaled -= scaled.mean()
-    rms = math.sqrt(float(np.einsum("ij,ij->", scaled, scaled)) / scaled.size)
+    return deviation_in_range(in_range(image))
+
+
+def deviation_in_range(image: np.ndarray) -> np.ndarray | None:
+    """`deviation` of an image of which `in_range` has been made."""
+    centred = image - image.mean()
+    rms = math.sqrt(float(np.einsum("ij,ij->", centred, centred)) / centred.size)
     if rms < FLAT:
         return None
-    scaled /= rms
-    return scaled
+    centred /= rms
+    return centred
 
 
 def in_range(image: np.ndarray) -> np.ndarray:
     """A float64 image over the power of two next above its largest pixel: exact, and its squares stay in range."""
-    return np.ldexp(image, -math.frexp(max(float(image.max()), -float(image.min())))[1])
+    exponent = math.frexp(max(float(image.max()), -float(image.min())))[1]
+    return image * math.ldexp(1.0, -min(max(exponent, -_EXPONENT), _EXPONENT))
 
 
 def autocovariance(intensity: np.ndarray) -> np.ndarray:

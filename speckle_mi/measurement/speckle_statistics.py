@@ -48,8 +48,8 @@ def _neighbours_size(pattern: np.ndarray) -> float:
     pattern: (rows, columns) of mean 0 and rms deviation 1. Of a Gaussian lobe their ratio tells the size whatever the
     noise of the pixels.
     """
-    # Every fourth line says enough.
-    lines = [np.moveaxis(pattern, axis, 0)[:, ::4] for axis in (0, 1) if pattern.shape[axis] > 2]
+    # Every fourth line says enough. Copied once, they lie side by side.
+    lines = [np.ascontiguousarray(np.moveaxis(pattern, axis, 0)[:, ::4]) for axis in (0, 1) if pattern.shape[axis] > 2]
     if not lines:
         return math.nan
     one, two = (float(np.mean([np.mean(line[lag:] * line[:-lag]) for line in lines])) for lag in (1, 2))
