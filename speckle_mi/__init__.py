@@ -46,6 +46,7 @@ _PUBLIC = {
     "Pose": "geometry.pose",
     "Simulation": "experiments.simulation:SensorSimulation",
     "Simulations": "experiments.simulation:SensorSimulations",
+    "compare_scenes": "studies.comparison",
     "expected_sensitivity": "experiments.expectation",
     "fit_sensitivity": "measurement.sensitivity",
     "load_detectors": "scene.load",

@@ -15,7 +15,8 @@ from test_commands import BAD_INPUT, DONE, refused, run
 
 import speckle_mi
 
-NAMES = {"load_scene", "Assembly", "Pose", "Simulation", "FieldImage", "propagate_tolerances", "read_image", "Correlator", "fit_sensitivity",
+NAMES = {"load_scene", "Assembly", "Pose", "Simulation", "FieldImage", "read_image", "Correlator", "fit_sensitivity",
+         "propagate_tolerances", "compare_scenes",
          "expected_sensitivity", "one_frame_sensitivity", "theory", "Simulations", "load_detectors"}  # fmt: skip
 
 

@@ -186,10 +186,7 @@ def sensitivity_of(
     for dof in dofs:
         number = DEGREES_OF_FREEDOM.index(dof)
         scale = np.pi / 180 if is_rotation(dof) else 1.0
-        linear, curved = (
-            _Values.of(velocities, number, scale, lambda values: on_all_axes(values, assembly, seen))
-            for velocities in (result.linear, result.curved)
-        )
+        linear, curved = (_of_motion(velocities, dof, assembly, seen) for velocities in (result.linear, result.curved))
         size = np.hypot(*linear.values[:2].mean(axis=1))
         fits[dof], scatter[dof] = {}, {}
         for row, axis in enumerate(AXES):
@@ -262,6 +259,40 @@ class _Values:
         return self.values.size - 1 if self.values.size > 1 else self.blocks - 1
 
 
+def values_of_surfaces(
+    result: OneFrameResult, assembly: Assembly, seen: SeenAxes
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sensitivities (k, 4, 6) along u, v, x, y of each of k surfaces [mm/mm, mm/deg], as :func:`sensitivity_of` takes
+    them: with curvature over the detector where the surfaces show it. Besides, (4, 6) the standard uncertainty of their
+    mean by curvature that they neither show nor exclude."""
+    found = np.empty((len(result.seeds), 4, len(DEGREES_OF_FREEDOM)))
+    doubt = np.empty(found.shape[1:])
+    for number, dof in enumerate(DEGREES_OF_FREEDOM):
+        linear, curved = (_of_motion(velocities, dof, assembly, seen) for velocities in (result.linear, result.curved))
+        for row in range(4):
+            taken, variance = _taken(linear.axis(row), curved.axis(row))
+            found[:, row, number] = taken.values
+            doubt[row, number] = np.sqrt(max(variance - taken.variance_of_mean, 0.0))
+    return found, doubt
+
+
+def _of_motion(velocities: list[PatternVelocity], dof: str, assembly: Assembly, seen: SeenAxes) -> _Values:
+    scale = np.pi / 180 if is_rotation(dof) else 1.0
+    return _Values.of(
+        velocities, DEGREES_OF_FREEDOM.index(dof), scale, lambda values: on_all_axes(values, assembly, seen)
+    )
+
+
+def _taken(linear: _Values, curved: _Values) -> tuple[_Values, float]:
+    """Which of them counts, and the variance of its mean: that with curvature where the surfaces show it clearly."""
+    between = curved.values - linear.values
+    by_chance = between.var(ddof=1) / between.size if between.size > 1 else curved.variance[0] - linear.variance[0]
+    off = float(np.mean(between)) ** 2
+    if off > CLEARLY**2 * by_chance:
+        return curved, curved.variance_of_mean
+    return linear, linear.variance_of_mean + max(off - by_chance, 0.0)
+
+
 def _fit(
     linear: _Values, curved: _Values, numerical: float, theory: float | None, unit: str
 ) -> tuple[Sensitivity, float]:
@@ -271,13 +302,7 @@ def _fit(
     with curvature has twice the scatter, and is taken where the surfaces show the curvature clearly. Else what they
     neither show nor exclude of it stays in the interval, as does the fields' ``numerical`` error.
     """
-    between = curved.values - linear.values
-    by_chance = between.var(ddof=1) / between.size if between.size > 1 else curved.variance[0] - linear.variance[0]
-    off = float(np.mean(between)) ** 2
-    if off > CLEARLY**2 * by_chance:
-        taken, error = curved, curved.variance_of_mean
-    else:
-        taken, error = linear, linear.variance_of_mean + max(off - by_chance, 0.0)
+    taken, error = _taken(linear, curved)
     count, value = taken.values.size, float(taken.values.mean())
     basis, note = ("surfaces", "") if count > 1 else ("residuals", ONE_SURFACE)
     if not np.isfinite(error):

@@ -6,6 +6,7 @@ them and cancels as far as their patterns are alike.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -15,16 +16,20 @@ from scipy.optimize import brentq
 from ..errors import InputError
 from ..experiments.chief_ray import axes_as_seen
 from ..experiments.expectation import AXES, expected_sensitivity, on_all_axes
-from ..experiments.one_frame import FEWEST_PIXELS, OneFrame
+from ..experiments.one_frame import FEWEST_PIXELS, OneFrame, values_of_surfaces
 from ..field.detectors import Simulations
 from ..geometry.pose import DEGREES_OF_FREEDOM, Pose, is_rotation
 from ..machine.cores import products_on_one_thread
-from ..measurement.velocity import half_correlation
 from ..scene.assembly import Assembly
 from .design import Design
+from .room import clearance, extent
+from .swept import swept_sensitivities
 
 PER_UNIT = np.array([np.pi / 180 if is_rotation(dof) else 1.0 for dof in DEGREES_OF_FREEDOM])
 """From rad to deg, where a motion is a rotation."""
+
+COVERAGE = 2.0
+"""Standard uncertainties that a half width stands for."""
 
 _CLOSE = 1e-12
 """Relative width of the bracket that a compensator's value is found in."""
@@ -49,13 +54,15 @@ class Variants:
 
     density: of the scatterers [1/mm^2], which are material and stay when the light on them changes; None for what each
     variant asks for; compensators: that each is adjusted by; sweep: displacements [mm or deg] of a sweep by which
-    sensitivities are measured, None for one frame.
+    sensitivities are measured, None for one frame; pixels: that are looked at, the same in all variants, None for as
+    many as each one's speckles need.
     """
 
     design: Design
     density: float | None = None
     compensators: tuple[Compensator, ...] = ()
     sweep: tuple[float, ...] | None = None
+    pixels: int | None = FEWEST_PIXELS
 
 
 @dataclass(frozen=True)
@@ -63,13 +70,19 @@ class Evaluation:
     """Of d detectors and k surfaces. Sensitivities are [mm/mm, mm/deg], NaN where they are not known.
 
     theory: (d, 6 axes, 6 motions) of first order, axes u, v, x, y, cog_u, cog_v; measured: (k, d, 6, 6) of surfaces;
-    half: (d, 6) displacement [mm or deg] at which correlation falls to one half; failed: why there is nothing, empty
-    where there is; adjusted: what the compensators were set to; seconds: that it took.
+    curvature: (k, d, 6) kappa [1/mm^2 or 1/deg^2] of each, where correlation falls as exp(-kappa q^2); doubt: (d, 6, 6)
+    half widths of what is common to all surfaces and not known, by the fields' error and by curvature; extent: (3,) size
+    [mm] along the world's axes of the box around all parts; clearance: least gap [mm] between the laser's light and any
+    part but the target; failed: why there is nothing, empty where there is; adjusted: what the compensators were set to;
+    seconds: of a frame of one surface.
     """
 
     theory: np.ndarray
     measured: np.ndarray
-    half: np.ndarray
+    curvature: np.ndarray
+    doubt: np.ndarray
+    extent: tuple[float, ...] = ()
+    clearance: float = np.nan
     failed: str = ""
     adjusted: tuple[float, ...] = ()
     seconds: float = 0.0
@@ -77,7 +90,7 @@ class Evaluation:
     @classmethod
     def of(cls, result: Mapping) -> Evaluation:
         """From the result of a job."""
-        return cls(**{**result, "adjusted": tuple(result["adjusted"])})
+        return cls(**{**result, **{name: tuple(result[name]) for name in ("adjusted", "extent")}})
 
 
 @dataclass(frozen=True)
@@ -102,7 +115,7 @@ class Evaluator:
             return vars(self.evaluation(asked))
         except InputError as error:
             nothing = np.full((0, 6, 6), np.nan)
-            return vars(Evaluation(nothing, nothing[None], nothing[:, 0], str(error)))
+            return vars(Evaluation(nothing, nothing[None], nothing[None, :, 0], nothing, failed=str(error)))
 
     @products_on_one_thread()
     def evaluation(self, asked: Asked) -> Evaluation:
@@ -111,11 +124,15 @@ class Evaluator:
         for compensator in self._variants.compensators:
             values[compensator.parameter] = self._compensated(compensator, values)
             adjusted.append(values[compensator.parameter])
-        simulations = Simulations(self.assemblies(values))
+        assemblies = self.assemblies(values)
+        simulations = Simulations(assemblies)
         parts = simulations.by_detector.values()
         theory = np.stack([theory_of(one.assembly, one.plan(Pose())) for one in parts])
-        measured, half, seconds = self._measured(simulations, asked.seeds)
-        return Evaluation(theory, measured, half, adjusted=tuple(adjusted), seconds=seconds)
+        measured, curvature, doubt, seconds = self._measured(simulations, asked.seeds)
+        size = tuple(extent(assemblies.values()).tolist())
+        return Evaluation(
+            theory, measured, curvature, doubt, size, clearance(assemblies.values()), "", tuple(adjusted), seconds
+        )
 
     def assemblies(self, values: Mapping[str, float]) -> dict[str, Assembly]:
         """The variant's, by detector."""
@@ -140,26 +157,33 @@ class Evaluator:
             )
         return float(brentq(off, low, high, xtol=_CLOSE * max(abs(low), abs(high)), rtol=_CLOSE))
 
-    def _measured(self, simulations: Simulations, seeds: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, float]:
+    def _measured(
+        self, simulations: Simulations, seeds: tuple[int, ...]
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+        """Sensitivities (k, d, 6, 6), curvature (k, d, 6), doubt (d, 6, 6) and seconds of a surface."""
         count = len(simulations.by_detector)
-        measured, half, seconds = np.full((len(seeds), count, len(AXES), 6), np.nan), np.full((count, 6), np.nan), 0.0
+        measured = np.full((len(seeds), count, len(AXES), 6), np.nan)
+        curvature = np.full((len(seeds), count, 6), np.nan)
+        doubt = np.zeros((count, len(AXES), 6))
         if not seeds:
-            return measured, half, seconds
+            return measured, curvature, doubt, 0.0
         if self._variants.sweep is not None:
-            from .swept import swept_sensitivities
-
             return swept_sensitivities(simulations, seeds, np.array(self._variants.sweep))
-        lit = {seed: simulations.first.lit(Pose(), seed) for seed in seeds}
+        lit, began = {seed: simulations.first.lit(Pose(), seed) for seed in seeds}, time.perf_counter()
         for number, one in enumerate(simulations.by_detector.values()):
-            frame, seen = OneFrame(one, FEWEST_PIXELS), axes_as_seen(one.assembly, one.plan(Pose()))
-            for surface, seed in enumerate(seeds):
+            frame, seen = OneFrame(one, self._variants.pixels), axes_as_seen(one.assembly, one.plan(Pose()))
+            for seed in seeds:
                 frame.add(seed, lit[seed])
-                value = frame.result.linear[surface].value.T * PER_UNIT
-                measured[surface, number, :4] = on_all_axes(value, one.assembly, seen)
-            curvature = np.mean([velocity.curvature for velocity in frame.result.linear], axis=0) * PER_UNIT**2
-            half[number] = half_correlation(curvature)
-            seconds += frame.result.seconds
-        return measured, half, seconds
+            found = frame.result
+            curvature[:, number] = [velocity.curvature * PER_UNIT**2 for velocity in found.curved]
+            if self._variants.pixels is None:
+                measured[:, number, :4], spread = values_of_surfaces(found, one.assembly, seen)
+                size = np.linalg.norm(measured[:, number, :2].mean(axis=0), axis=0)
+                doubt[number, :4] = np.hypot(COVERAGE * spread, found.error * size)
+            else:  # in the same way in all variants, for which differences count
+                values = [on_all_axes(velocity.value.T * PER_UNIT, one.assembly, seen) for velocity in found.linear]
+                measured[:, number, :4] = values
+        return measured, curvature, doubt, (time.perf_counter() - began) / len(seeds)
 
 
 def theory_of(assembly: Assembly, plan=None) -> np.ndarray:

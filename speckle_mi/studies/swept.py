@@ -18,17 +18,19 @@ from ..measurement.speckle_statistics import centre_of_gravity
 
 def swept_sensitivities(
     simulations: Simulations, seeds: Sequence[int], displacements: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Sensitivities (k, d, 6 axes, 6 motions) of k surfaces on d detectors, and seconds.
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Sensitivities (k, d, 6 axes, 6 motions) of k surfaces on d detectors, curvatures, doubt and seconds of a surface.
 
-    Between them (d, 6) displacements at which correlation falls to one half, by the Gaussian law that the farthest
-    frame has. displacements: (n,) from rest [mm or deg].
+    curvatures: (k, d, 6) kappa [1/mm^2 or 1/deg^2] of a correlation exp(-kappa q^2), by the farthest frame; doubt: (d,
+    6, 6) by the fields' relative L2 error. displacements: (n,) from rest [mm or deg].
     """
-    began, names = time.perf_counter(), list(simulations.by_detector)
+    began, names, error = time.perf_counter(), list(simulations.by_detector), 0.0
     measured = np.full((len(seeds), len(names), len(AXES), 6), np.nan)
     curvature = np.full((len(seeds), len(names), 6), np.nan)
     for surface, seed in enumerate(seeds):
-        at_rest = {name: frame.image.measured for name, frame in simulations.frames(Pose(), seed).items()}
+        rest = simulations.frames(Pose(), seed)
+        error = max(error, *(frame.error for frame in rest.values()))
+        at_rest = {name: frame.image.measured for name, frame in rest.items()}
         correlators = {name: Correlator(image) for name, image in at_rest.items()}
         for column, dof in enumerate(DEGREES_OF_FREEDOM):
             moved = [simulations.frames(Pose(**{dof: float(by)}), seed) for by in displacements]
@@ -42,8 +44,9 @@ def swept_sensitivities(
                 farthest = int(np.argmax(np.abs(displacements)))
                 left = np.clip(correlation[farthest], 1e-6, 1 - 1e-9)
                 curvature[surface, number, column] = -np.log(left) / displacements[farthest] ** 2
-    half = np.sqrt(np.log(2) / curvature.mean(axis=0))
-    return measured, half, time.perf_counter() - began
+    size = np.linalg.norm(measured[:, :, :2].mean(axis=0), axis=1, keepdims=True)
+    doubt = np.broadcast_to(error * size, measured.shape[1:])
+    return measured, curvature, doubt, (time.perf_counter() - began) / len(seeds)
 
 
 def _shifts(assembly, plan, correlator: Correlator, rest: np.ndarray, images) -> tuple[np.ndarray, np.ndarray]:

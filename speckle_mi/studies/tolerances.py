@@ -167,7 +167,7 @@ def tolerances_of(tables: Mapping, nominal: Mapping[str, float], path: str = "to
     allowed = content.pop(ALLOWED, {})
     varying = {
         name: _tolerance(f"{path}: [{name}]", name, table, nominal)
-        for name, table in flat(content, lambda table: bool(KINDS.keys() & table.keys())).items()
+        for name, table in flat(content, says_something).items()
     }
     if not varying:
         raise InputError(f"{path}: holds no tolerance, must have a table a number, such as [laser_angle] normal = 0.5")
@@ -202,6 +202,11 @@ def flat(tables: Mapping, is_end, before: str = "") -> dict:
         else:
             found[name] = value
     return found
+
+
+def says_something(table: Mapping) -> bool:
+    """Whether a table holds more than tables."""
+    return not all(isinstance(value, dict) for value in table.values())
 
 
 def _is_number(value: object) -> bool:
