@@ -38,7 +38,8 @@ class FrameResult:
 
     scatterers: what was summed; stages: what was done and why; numerical_error: estimated relative L2 error of the
     field, NaN where it is not known (method ``rays``); warnings: one sentence each; seconds: it took; parts: what every
-    laser and line brought, whose intensities add up (the image's field and ``scatterers`` are the first's).
+    laser and line brought, whose intensities add up (the image's field and ``scatterers`` are the first's); photons:
+    (rows, columns) the light as a camera counts it, None where that is the image's intensity.
     """
 
     image: FieldImage
@@ -48,6 +49,7 @@ class FrameResult:
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
     parts: tuple[LightOnDetector, ...] = ()
+    photons: np.ndarray | None = None
 
     @property
     def plan(self) -> list[str]:

@@ -46,12 +46,12 @@ def added_up(assembly: Assembly, parts: Sequence[LightOnDetector]) -> LightOnDet
     )  # fmt: skip
 
 
-def by_photons(whole: LightOnDetector, parts: Sequence[LightOnDetector]) -> np.ndarray:
-    """Intensity (rows, columns) as a camera counts it: in photons of the first wavelength."""
+def by_photons(parts: Sequence[LightOnDetector]) -> np.ndarray | None:
+    """Intensity (rows, columns) as a camera counts it: in photons of the first wavelength. None of one light alone."""
+    if len(parts) == 1:
+        return None
     first = parts[0].assembly.vacuum_wavelength
     scales = [part.assembly.weight * part.assembly.vacuum_wavelength / first for part in parts]
-    if len(parts) == 1 or parts[0].assembly.camera is None:
-        return whole.intensity
     photons = sum(scale * part.intensity.astype(np.float64) for scale, part in zip(scales, parts, strict=True))
     return photons.astype(np.float32)
 

@@ -26,7 +26,7 @@ from ..propagation.costs import costs_of
 from ..scattering.rough_surface import Scatterers
 from ..scene.assembly import Assembly, Options
 from .derivatives import DerivativeFields, derivative_fields
-from .exposure import picture_of
+from .exposure import CameraFrame, picture_of
 from .frame import FrameResult, LightOnDetector, header_of
 from .incoherent import added_up, by_photons, layers_of, named, stacked, together, too_few_samples
 from .lobe import Lobe
@@ -114,14 +114,20 @@ class Simulation:
         whole = added_up(setup.assembly, parts)
         # No seed is in the hash: of the assembly that all frames share it is computed once.
         scene_hash = (self.assembly if options is None else setup.assembly).fingerprint()
-        picture = picture_of(setup, self._plan(setup).channels, by_photons(whole, parts), shot)
+        photons = by_photons(parts)
+        picture = picture_of(setup, self._plan(setup).channels, whole.intensity if photons is None else photons, shot)
         warnings = (*whole.warnings, *picture.warnings)
         count = whole.scatterers.count
         header = header_of(setup.assembly, scene_hash, setup.pose, count, whole.stages, whole.error, warnings)
         layers = layers_of(parts)
         image = FieldImage(whole.intensity, whole.field, header | picture.header, dn=picture.dn, layers=layers)
         seconds = time.perf_counter() - began
-        return FrameResult(image, whole.scatterers, whole.stages, whole.error, warnings, seconds, named(parts))
+        return FrameResult(image, whole.scatterers, whole.stages, whole.error, warnings, seconds, named(parts), photons)
+
+    def picture(self, photons: np.ndarray, pose: Pose | None = None, shot: int = 0) -> CameraFrame:
+        """What the camera makes of light (rows, columns), as it counts it, with the target at ``pose``; see frame."""
+        setup = self._setup(self.assembly, pose, None)
+        return picture_of(setup, self._plan(setup).channels, photons, shot)
 
     def _light(
         self, pose: Pose | None, seed: int | None, options: Options | None, lit: Scatterers | None
