@@ -36,7 +36,10 @@ FEWEST_SHARED = 500_000
 
 def cores_for_transform(*shape: int) -> int:
     """Processor cores that a Fourier transform of so many values is to be shared out to."""
-    return usable_cores() if math.prod(shape) >= FEWEST_SHARED else 1
+    if math.prod(shape) < FEWEST_SHARED:
+        return 1
+    threads = _current.get()
+    return usable_cores() if threads is None else threads.cores
 
 
 # A process stays in its group, and its frames take milliseconds, of which reading this anew would take a tenth.

@@ -21,7 +21,7 @@ from .covariance import deviation
 from .deformation import Deformation, fit_deformation
 from .masked import masked_displacement
 from .ncc import Overlaps, Template
-from .peak import FEWEST_SPECKLES, PATCH, Peak, Texture, argmax, least_significant, most_significant, peak_at
+from .peak import FEWEST_SPECKLES, PATCH, Bar, Peak, Texture, argmax, least_significant, most_significant, peak_at
 from .registration import Found, Subset
 from .shift import Shift, no_shift
 from .still import finer_than_a_pixel, moving_peak, of_the_camera, pull, still_note
@@ -106,9 +106,10 @@ class Matcher:
         return Template(self.piece, self.shape)
 
     @cached_property
-    def _whole(self) -> tuple[Overlaps, Texture]:
+    def _whole(self) -> tuple[Overlaps, Texture, Bar]:
         """What stage 2 needs of the reference, made when it is first needed."""
-        return Overlaps(self.reference), Texture(self.reference)
+        overlaps, texture = Overlaps(self.reference), Texture(self.reference)
+        return overlaps, texture, Bar.of(overlaps.pixels, texture, overlaps.pixels.shape)
 
     def shift(self, pattern: np.ndarray, valid: np.ndarray | None = None, beyond: bool = True) -> Shift:
         """Shift of ``pattern`` (rows, columns) from the reference; valid: False where it says nothing.
@@ -180,7 +181,8 @@ class Matcher:
 
     def _searched(self, template: Template, around: np.ndarray, first: tuple[int, int], pattern, valid) -> Shift | None:
         surface = template.ncc(around)
-        peak = most_significant(surface, math.prod(self.window), self.texture)
+        bar = Bar.of(math.prod(self.window), self.texture, surface.shape)
+        peak = most_significant(surface, bar, self.texture)
         if peak.significance < 1.0:
             return None
         origin = tuple(c - f for c, f in zip(self.corner, first))
@@ -210,9 +212,9 @@ class Matcher:
 
     def _far(self, pattern: np.ndarray, valid: np.ndarray | None) -> Shift:
         """Stage 2: the whole images over their overlap, then a window placed on both patterns."""
-        overlaps, texture = self._whole
+        overlaps, texture, bar = self._whole
         surface = overlaps.ncc(pattern)
-        peak = most_significant(surface, overlaps.pixels, texture)
+        peak = most_significant(surface, bar, texture)
         middle = tuple(n - 1 for n in self.shape)
         if (most := float(texture.speckles(math.prod(self.shape)))) < FEWEST_SPECKLES:
             message = (

@@ -62,34 +62,69 @@ class Overlaps:
         self.shape = reference.shape
         self.padded = tuple(fft.next_fast_len(2 * n - 1, real=True) for n in self.shape)
         self.cores = cores_for_transform(*self.padded)
-        self.spectrum = fft.rfft2(reference, self.padded, workers=self.cores).conj()
-        self.lags = [np.arange(1 - n, n) for n in self.shape]
-        counts = [n - np.abs(lag) for n, lag in zip(self.shape, self.lags)]
+        self.spectrum = np.conj(self._spectrum(reference))
+        counts = [n - np.abs(np.arange(1 - n, n)) for n in self.shape]
         self.pixels = (counts[0][:, None] * counts[1]).astype(np.float64)
-        self.sums, self.energy = self._sums_and_energy(reference, -1)
+        # The reference moves the other way: what overlaps at a lag does so of the moved image at the opposite one.
+        sums, energy = self._sums_and_energy(reference)
+        self.sums, self.energy = sums[::-1, ::-1].copy(), energy[::-1, ::-1].copy()
 
-    def _sums_and_energy(self, image: np.ndarray, sign: int) -> tuple[np.ndarray, np.ndarray]:
-        """Sum and squared deviation of the overlapping pixels of the moved (sign +1) or reference (-1) image."""
-        sums = self._over_overlap(image, sign)
-        squares = np.square(image)
-        energy = self._over_overlap(squares, sign) - sums**2 / self.pixels
+    def _spectrum(self, image: np.ndarray) -> np.ndarray:
+        """Of the padded image: along rows before those of the padding are added."""
+        along_rows = fft.rfft(image, self.padded[1], axis=1, workers=self.cores)
+        return fft.fft(along_rows, self.padded[0], axis=0, workers=self.cores, overwrite_x=True)
+
+    def _sums_and_energy(self, image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Sum and squared deviation of the pixels of the moved image that overlap with the reference, at every lag."""
+        sums, squares = _over_overlap(image), np.square(image)
+        energy = _over_overlap(squares)
+        less = np.square(sums)
+        less /= self.pixels
+        energy -= less
         energy[energy <= CONSTANT * squares.sum()] = np.inf
         return sums, energy
 
-    def _over_overlap(self, image: np.ndarray, sign: int) -> np.ndarray:
-        """Sum of ``image`` over the pixels that overlap, at every lag."""
-        for axis in (0, 1):
-            n, lag = self.shape[axis], sign * self.lags[axis]
-            running = np.insert(np.cumsum(image, axis=axis), 0, 0.0, axis=axis)
-            image = running.take(np.minimum(n, n + lag), axis) - running.take(np.maximum(0, lag), axis)
-        return image
-
     def ncc(self, pattern: np.ndarray) -> np.ndarray:
         """NCC over the overlap, (2 rows - 1, 2 columns - 1), no displacement in the middle."""
-        spectrum = fft.rfft2(pattern, self.padded, workers=self.cores)
+        spectrum = self._spectrum(pattern)
         spectrum *= self.spectrum
-        products = fft.irfft2(spectrum, self.padded, workers=self.cores, overwrite_x=True)
-        # Negative lags wrap around, and so do negative indices.
-        products = products[self.lags[0]][:, self.lags[1]]
-        sums, energy = self._sums_and_energy(pattern, 1)
-        return (products - sums * self.sums / self.pixels) / np.sqrt(energy * self.energy)
+        products = _from_middle(
+            fft.irfft2(spectrum, self.padded, workers=self.cores, overwrite_x=True), self.shape
+        )
+        # In place of what is not needed any more: what is as large as this costs more to get than to fill.
+        sums, energy = self._sums_and_energy(pattern)
+        sums *= self.sums
+        sums /= self.pixels
+        products -= sums
+        energy *= self.energy
+        products /= np.sqrt(energy, out=energy)
+        return products
+
+
+def _over_overlap(image: np.ndarray) -> np.ndarray:
+    """Sum of ``image`` over the pixels that overlap with a fixed image of its shape, at every lag.
+
+    At a lag l below 0 its first n + l pixels do, from 0 on all but its first l: (2 rows - 1, 2 columns - 1).
+    """
+    for axis in (0, 1):
+        n = image.shape[axis]
+        running = np.cumsum(image, axis=axis)
+        shape = list(image.shape)
+        shape[axis] = 2 * n - 1
+        lead, sums = (running, np.empty(shape)) if axis == 0 else (running.T, np.empty(shape).T)
+        sums[: n - 1] = lead[: n - 1]
+        sums[n - 1] = lead[n - 1]
+        np.subtract(lead[n - 1], lead[: n - 1], out=sums[n:])
+        image = sums if axis == 0 else sums.T
+    return image
+
+
+def _from_middle(cyclic: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Lags -(n - 1) to n - 1 in their order, of a padded array in which negative ones stand at the end."""
+    (rows, columns), (height, width) = shape, cyclic.shape
+    found = np.empty((2 * rows - 1, 2 * columns - 1), cyclic.dtype)
+    found[rows - 1 :, columns - 1 :] = cyclic[:rows, :columns]
+    found[: rows - 1, columns - 1 :] = cyclic[height - rows + 1 :, :columns]
+    found[rows - 1 :, : columns - 1] = cyclic[:rows, width - columns + 1 :]
+    found[: rows - 1, : columns - 1] = cyclic[height - rows + 1 :, width - columns + 1 :]
+    return found

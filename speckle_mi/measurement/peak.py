@@ -209,14 +209,33 @@ def least_significant(speckles: np.ndarray | float, places: float) -> np.ndarray
     return np.tanh((z + 4.0 * (z * z - 1.0) / (6.0 * root)) / root)
 
 
-def most_significant(surface: np.ndarray, pixels: np.ndarray | float, texture: Texture) -> Peak:
-    """The most significant peak of a correlation surface, each value of which rests on ``pixels`` pixels."""
-    speckles = np.asarray(texture.speckles(pixels))  # one number for stage 1, one a displacement for stage 2
+@dataclass(frozen=True)
+class Bar:
+    """What correlations must exceed to be significant, on a surface of one shape: the same for all moved images.
+
+    speckles: independent ones that each value rests on, one number or one a displacement; enough: (of the surface's
+    shape) where there are enough of them; threshold: least significant NCC.
+    """
+
+    speckles: np.ndarray
+    enough: np.ndarray
+    threshold: np.ndarray | float
+
+    @classmethod
+    def of(cls, pixels: np.ndarray | float, texture: Texture, shape: tuple[int, int]) -> Bar:
+        """pixels: that each value of the surface rests on."""
+        speckles = np.asarray(texture.speckles(pixels))  # one number for stage 1, one a displacement for stage 2
+        # With too few speckles everywhere the best of the larger overlaps is still looked up, but proves nothing.
+        enough = np.broadcast_to(speckles >= min(FEWEST_SPECKLES, 0.5 * float(speckles.max())), shape)
+        threshold = least_significant(np.maximum(speckles, 1.0), np.count_nonzero(enough) / texture.area)
+        return cls(speckles, enough, threshold)
+
+
+def most_significant(surface: np.ndarray, bar: Bar, texture: Texture) -> Peak:
+    """The most significant peak of a correlation surface."""
+    speckles, enough = bar.speckles, bar.enough
     most = float(speckles.max())
-    # With too few speckles everywhere the best of the larger overlaps is still looked up, but proves nothing.
-    enough = np.broadcast_to(speckles >= min(FEWEST_SPECKLES, 0.5 * most), surface.shape)
-    threshold = least_significant(np.maximum(speckles, 1.0), np.count_nonzero(enough) / texture.area)
-    ratio = np.where(enough, surface / threshold, 0.0)
+    ratio = np.where(enough, surface / bar.threshold, 0.0)
     place = argmax(ratio)
     peak = peak_at(surface, place)
     # Of the pixel, not interpolated: interpolation raises the peaks of unrelated patterns too.
