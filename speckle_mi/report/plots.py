@@ -10,6 +10,7 @@ import os
 from collections.abc import Mapping
 
 import numpy as np
+from PIL import Image
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -24,6 +25,9 @@ MEAN, THEORY, LOST, SURFACE = "#0072B2", "#D55E00", "#CC79A7", "#8C8C8C"
 
 FONT = 10.0  # [pt]
 RESOLUTION = 160  # [dots per inch]
+
+COMPRESSION = 3
+"""Of PNG files: a tenth larger than the usual 6, and written in a quarter of the time."""
 
 LONGEST_ASPECT = 6.0
 """Side ratio from which an image is stretched across to be seen at all."""
@@ -286,4 +290,12 @@ def legend_outside(figure: Figure, *axes: Axes, columns: int, below: bool = Fals
 def write_picture(figure: Figure, path: str | os.PathLike) -> None:
     """Writes the PNG, or the SVG where the path ends so, whole or not at all."""
     with replacing(path) as temporary:
-        figure.savefig(temporary, format="svg" if str(path).lower().endswith(".svg") else "png")
+        if str(path).lower().endswith(".svg"):
+            figure.savefig(temporary, format="svg")
+            return
+        # Drawn once, where savefig draws all of it a first time for the layout alone.
+        figure.canvas.draw()
+        pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
+        Image.fromarray(np.ascontiguousarray(pixels)).save(
+            temporary, format="png", dpi=(figure.dpi, figure.dpi), compress_level=COMPRESSION
+        )
