@@ -27,10 +27,16 @@ NODE_BYTES, NODE_SECONDS = 160, 1e-6
 """Memory of a node of an opening: its place, area and field, and what a sum over it takes beside; time to place it."""
 
 _EXPANSION_RANK = 20
-"""Terms that a NUFFT of many sources is taken to need."""
+"""Terms that a NUFFT of many sources is taken to need where nothing is known of its paths."""
 
 _EXPANSION_SECONDS = 0.3
 """Finding an expansion, or a traced path's."""
+
+_TRACED_TERM_SECONDS = 1e-7
+"""Of one term of a traced path at one source or place: its NUFFT in double precision, and its series."""
+
+_SERIES_SECONDS = 5e-7
+"""Of a traced path's series at one source or place."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,8 @@ def cost_of(assembly: Assembly, channels: tuple[Channel, ...]) -> Cost:
         nodes = [estimated_nodes(rim.plane.outline, gradient.bound, gradient.tilt) for rim, gradient in openings]
         counts = [scatterers, *nodes, pixels]
         for number, (sources, points) in enumerate(zip(counts[:-1], counts[1:], strict=True)):
-            seconds += _leg_seconds(sources, points, bool(channel.leg(number)))
+            terms = _terms(channel.gradients, number)
+            seconds += _leg_seconds(sources, points, bool(channel.leg(number)), terms)
         seconds += NODE_SECONDS * sum(nodes)
         memory += NODE_BYTES * sum(nodes)
     return Cost(assembly.sub_pixels**2 * seconds, memory)
@@ -110,10 +117,19 @@ def expected_scatterers(assembly: Assembly) -> float:
     return surface.density * area
 
 
-def _leg_seconds(sources: float, points: float, traced: bool) -> float:
+def _terms(gradients: tuple[PhaseGradient, ...], number: int) -> int:
+    """Terms of the expansion on a leg, as sampled for the opening before or behind it."""
+    if not gradients:
+        return _EXPANSION_RANK
+    return gradients[number - 1].terms[1] if number else gradients[0].terms[0]
+
+
+def _leg_seconds(sources: float, points: float, traced: bool, terms: int = _EXPANSION_RANK) -> float:
     """A sum from points to points: every pair, or an expansion where that is faster or the only way."""
-    expanded = _EXPANSION_SECONDS + _EXPANSION_RANK * RECORDED.nufft_point * (sources + points)
-    return expanded if traced else min(sources * points * RECORDED.grid_pair, expanded)
+    if traced:
+        return _EXPANSION_SECONDS + (_TRACED_TERM_SECONDS * terms + _SERIES_SECONDS) * (sources + points)
+    expanded = _EXPANSION_SECONDS + RECORDED.nufft_point * terms * (sources + points)
+    return min(sources * points * RECORDED.grid_pair, expanded)
 
 
 def require_affordable(cost: Cost, force: bool) -> None:

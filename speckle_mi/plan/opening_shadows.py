@@ -17,9 +17,10 @@ from ..geometry.plane import PlaneGrid
 from ..optics.aim import aim
 from ..optics.sequence import Sequence, detector_plane
 from ..optics.trace import RayStatus, trace
+from ..propagation.chebyshev import TensorSeries, tensor_polynomials
 from .cost import is_along_edge
 from .fresnel import fresnel_parameter
-from .places import FINE, hole_places
+from .places import FINE, detector_places, hole_places
 from .setup import Setup
 from .shadows import SAFE_MARGIN, WayPart, WayRays, extremes, wave_of_shadow
 from .way import Channel, Rim
@@ -28,6 +29,17 @@ _COARSE = 96
 """Places a side on the detector at which the view from an opening is judged."""
 
 _ANGLE_SAMPLES = 12
+
+_FEW_RAYS, _DEGREE, _SEED = 2000, 14, 8
+"""Rays over an opening beyond which they are taken from a polynomial of that degree, and seed of those it is fitted to.
+
+Half of them are fitted, half judge the fit."""
+
+_NO_RAY = -1.0
+"""Clearance of all rims where no ray leads over a place."""
+
+_DOUBT = 10.0
+"""Factor on the largest difference of the polynomial from rays, within which a rim's side is in doubt."""
 
 _ALMOST_RIM = 0.97
 """Part of the way to an opening's rim from where the view of the detector must be free."""
@@ -43,7 +55,7 @@ def lit_nodes(
     part = WayPart.between(channel, None, rim)
     for source in sources:
         starts = np.broadcast_to(source, points.shape)
-        lit = np.all(_clearance_over(channel, rim, starts, points) >= 0, axis=0)
+        lit = np.all(_clearance_at(channel, rim, source, points) >= 0, axis=0)
         if channel.cut_by:
             lit &= part.unblocked(setup, part.rays(starts, points)[0])
         yield lit
@@ -71,6 +83,31 @@ def is_summed_along_edge(
     )
 
 
+def _clearance_at(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Clearances (r, n) of the rims not diffracted at on rays from a source (3,) over points of an opening (n, 3).
+
+    Of many points a polynomial through some of them, and rays only where it leaves in doubt which side of a rim it is.
+    """
+    starts = np.broadcast_to(source, points.shape)
+    if len(points) <= _FEW_RAYS:
+        return _clearance_over(channel, rim, starts, points)
+    some = np.random.default_rng(_SEED).choice(len(points), _FEW_RAYS, replace=False)
+    known = _clearance_over(channel, rim, starts[some], points[some])
+    at = rim.plane.frame.to_local(points)[:, :2]
+    at = (2 * at - at.max(axis=0) - at.min(axis=0)) / np.maximum(np.ptp(at, axis=0), 1e-300)
+    clearance, doubt = np.empty((len(known), len(points))), np.ones(len(points), dtype=bool)
+    if len(known) and not np.any(np.all(known == _NO_RAY, axis=0)):
+        index = np.array([(a, b) for a in range(_DEGREE + 1) for b in range(_DEGREE + 1 - a)])
+        fitted, judged = some[::2], some[1::2]
+        coefficients = np.linalg.lstsq(tensor_polynomials(index, at[fitted]).T, known[:, ::2].T, rcond=None)[0]
+        series = TensorSeries(index, coefficients)
+        error = _DOUBT * np.abs(series(at[judged]).T - known[:, 1::2]).max(axis=1, keepdims=True)
+        clearance[:] = series(at).T
+        doubt = np.any(np.abs(clearance) <= error, axis=0)
+    clearance[:, doubt] = _clearance_over(channel, rim, starts[doubt], points[doubt])
+    return clearance
+
+
 def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Clearances (r, n) of the rims not diffracted at on rays from sources over points of an opening, (n, 3) each."""
     chosen = {opening.number for opening in channel.openings}
@@ -78,7 +115,7 @@ def _clearance_over(channel: Channel, rim: Rim, source: np.ndarray, points: np.n
     if not rows:
         return np.empty((0, len(points)))
     before = aim(Sequence((*channel.leg(0), rim.end)), source, points)
-    clearance = np.full((len(rows), len(points)), -1.0)
+    clearance = np.full((len(rows), len(points)), _NO_RAY)
     reached = np.flatnonzero(before.converged)
     # Where the ray goes on behind the opening decides about the rims there.
     whole = trace(
@@ -93,6 +130,13 @@ def rays_to_opening(setup: Setup, channel: Channel) -> WayRays:
     """Rays from the spot to places all over the first opening."""
     first = channel.openings[0]
     return WayRays.over(WayPart.between(channel, None, first), setup.spots, hole_places(first.plane, *FINE))
+
+
+def rays_from_opening(setup: Setup, channel: Channel) -> WayRays:
+    """Rays from places all over the last opening to the detector."""
+    last = channel.openings[-1]
+    part = WayPart.between(channel, last, None)
+    return WayRays.over(part, hole_places(last.plane, *FINE), detector_places(channel.grid))
 
 
 def shapes_between_openings(setup: Setup, channel: Channel) -> list[str]:

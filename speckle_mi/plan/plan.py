@@ -26,6 +26,7 @@ from .legs import rays_over
 from .opening_shadows import (
     hidden_pixels,
     is_summed_along_edge,
+    rays_from_opening,
     rays_to_opening,
     shapes_between_openings,
     shapes_in_the_way,
@@ -219,6 +220,8 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
     if to_opening:
         cut_by = tuple(dict.fromkeys(shapes_in_the_way(setup, to_opening)))
         channel = replace(channel, hidden=hidden_pixels(setup, channel), cut_by=cut_by)
+        if channel.gradients and channel.hidden is not None and np.all(channel.hidden):
+            raise SceneError(_all_hidden(setup, channel))
     if setup.assembly.options.diffraction and setup.assembly.options.method != "rays":
         stages += _edges_beside(setup, channel, to_opening)
     left_out = [stage.predicted_error for stage in stages if stage.predicted_error is not None]
@@ -229,10 +232,21 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
     )
 
 
+def _all_hidden(setup: Setup, channel: Channel) -> str:
+    """Why a way cannot be computed behind whose last opening something hides a part of it from every pixel."""
+    names = shapes_in_the_way(setup, rays_from_opening(setup, channel))
+    what = " or ".join(repr(name) for name in dict.fromkeys(names) if name not in channel.route.names) or "a rim"
+    return (
+        f"way {channel.route.label}: {what} hides a part of {channel.openings[-1].name!r} from every pixel, and "
+        "diffraction at its edge is not computed: make it wider, so that it blocks this way, or move it out of it"
+    )
+
+
 def _gradients(setup: Setup, channel: Channel) -> tuple[PhaseGradient, ...]:
     """How steep the light's phase is over every opening. Raises SceneError where no light leads over one."""
     try:
-        return phase_gradients(channel, setup.spots, setup.assembly.beam.wavelength)
+        tolerance = setup.assembly.options.tolerance / (len(channel.openings) + 1)
+        return phase_gradients(channel, setup.spots, setup.assembly.beam.wavelength, tolerance)
     except InputError as error:
         raise SceneError(
             f"way {channel.route.label}: {error}; "

@@ -55,11 +55,13 @@ class Rim:
 class PhaseGradient:
     """Bound on the gradient of the light's phase over an opening [rad/mm]: of its length, or along x and y.
 
-    tilt: across the radius and at the centre, where from there to the rim it stays below a straight line, else None.
+    tilt: across the radius and at the centre, where from there to the rim it stays below a straight line, else None;
+    terms: of the expansions that the sum to the opening and the one from it need, as sampled.
     """
 
     bound: float | tuple[float, float]
     tilt: float | None = None
+    terms: tuple[int, int] = (1, 1)
 
 
 @dataclass(frozen=True)

@@ -322,11 +322,9 @@ def _interpolate_points(
     wavelength: float,
     scale: float,
 ) -> np.ndarray:
-    field = np.empty(target.size, dtype=np.complex128)
     flat = parts.reshape(nodes.count[1], -1)
-    step = max(1, PIXELS_AT_ONCE // (2 * nodes.count[0]))
-    for first in range(0, target.size, step):
-        chunk = slice(first, first + step)
+
+    def part(chunk: slice) -> np.ndarray:
         at = nodes.rectangle.unit_places(target.a[chunk], target.b[chunk])
         along_u, along_v = (
             interpolation_matrix(count, x).astype(parts.dtype) for count, x in zip(nodes.count, at.T, strict=True)
@@ -335,5 +333,6 @@ def _interpolate_points(
         smooth = np.einsum("mpu,mu->mp", rows, along_u)
         some = PlanePoints(target.origin, target.u, target.v, target.a[chunk], target.b[chunk])
         common = _common_phasor(path, reference, some.points(), wavelength)
-        field[chunk] = scale * (smooth[:, 0] + 1j * smooth[:, 1]) * common
-    return field
+        return scale * (smooth[:, 0] + 1j * smooth[:, 1]) * common
+
+    return np.concatenate(for_chunks(part, target.size))

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+PLACES_AT_ONCE = 1 << 12
+"""Places at which few functions are summed at once: their arrays stay in the processor's cache."""
+
 
 def chebyshev_nodes(count: int) -> np.ndarray:
     """(count,) Chebyshev points of the first kind on [-1, 1], ascending."""
@@ -69,19 +72,8 @@ def axis_tails(coefficients: np.ndarray, last: int = 2) -> np.ndarray:
 
 def tensor_polynomials(index: np.ndarray, places: np.ndarray, dtype: type = np.float64) -> np.ndarray:
     """T_{index[q,0]}(x) T_{index[q,1]}(y) ...: (q, n) at places (n, d) in [-1, 1]^d, for index (q, d)."""
-    columns = np.ascontiguousarray(places.T, dtype=dtype)
-    powers = []
-    for axis, x in enumerate(columns):
-        order = int(index[:, axis].max(initial=0)) + 1
-        ladder = np.ones((order, len(x)), dtype=dtype)
-        if order > 1:
-            ladder[1] = x
-        for n in range(2, order):
-            np.multiply(x, ladder[n - 1], out=ladder[n])
-            ladder[n] *= 2
-            ladder[n] -= ladder[n - 2]
-        powers.append(ladder)
-    basis = np.empty((len(index), columns.shape[1]), dtype=dtype)
+    powers = [_ladder(int(row.max(initial=0)) + 1, x, dtype) for row, x in zip(index.T, places.T, strict=True)]
+    basis = np.empty((len(index), len(places)), dtype=dtype)
     for row, term in zip(basis, index, strict=True):
         factors = [powers[axis][n] for axis, n in enumerate(term) if n > 0]
         if not factors:
@@ -93,6 +85,19 @@ def tensor_polynomials(index: np.ndarray, places: np.ndarray, dtype: type = np.f
             for factor in factors[2:]:
                 row *= factor
     return basis
+
+
+def _ladder(order: int, places: np.ndarray, dtype: type) -> np.ndarray:
+    """T_0 ... T_{order-1} (order, n) at places (n,)."""
+    x = np.ascontiguousarray(places, dtype=dtype)
+    ladder = np.ones((order, len(x)), dtype=dtype)
+    if order > 1:
+        ladder[1] = x
+    for n in range(2, order):
+        np.multiply(x, ladder[n - 1], out=ladder[n])
+        ladder[n] *= 2
+        ladder[n] -= ladder[n - 2]
+    return ladder
 
 
 @dataclass(frozen=True)
@@ -118,5 +123,24 @@ class TensorSeries:
 
     def __call__(self, places: np.ndarray, dtype: type = np.float64) -> np.ndarray:
         """Values (n, k) at places (n, d) in [-1, 1]^d."""
+        orders = self.index.max(axis=0, initial=0) + 1
+        long = np.flatnonzero(orders > 1)
+        if len(long) == 2 and self.coefficients.shape[1] < orders[long[1]]:
+            return self._side_by_side(places, long, orders[long], dtype)
         basis = tensor_polynomials(self.index, places, dtype)
         return (self.coefficients.T.astype(dtype, copy=False) @ basis).T
+
+    def _side_by_side(self, places: np.ndarray, axes: np.ndarray, orders: np.ndarray, dtype: type) -> np.ndarray:
+        """The same for few functions of the two coordinates ``axes``: summed along one, then along the other.
+
+        The products of polynomials, which would take longer than the sums, are never formed.
+        """
+        dense = np.zeros((self.coefficients.shape[1], *orders), dtype=dtype)
+        dense[:, self.index[:, axes[0]], self.index[:, axes[1]]] = self.coefficients.T
+        found = np.empty((len(places), len(dense)), dtype=dtype)
+        for first in range(0, len(places), PLACES_AT_ONCE):
+            some = places[first : first + PLACES_AT_ONCE]
+            one, other = (_ladder(order, some[:, axis], dtype) for axis, order in zip(axes, orders, strict=True))
+            rows = (dense.reshape(-1, orders[1]) @ other).reshape(len(dense), orders[0], -1)
+            found[first : first + PLACES_AT_ONCE] = np.einsum("kan,an->nk", rows, one)
+        return found

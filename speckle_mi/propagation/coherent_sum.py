@@ -246,7 +246,7 @@ class Task:
             return [self.every_pair()]
         found = []
         count, shape = len(self.sources), _shape(self.target)
-        interpolation = costs.interpolation(self.nodes.count, shape if len(shape) == 2 else (shape[0], 1))
+        interpolation = costs.interpolation(self.nodes.count, shape)
         all_pairs = np.inf
         few_nodes = self.nodes.size < FEW_NODES * self.target.size
         if supports(self.path):
@@ -279,11 +279,15 @@ class Task:
                 for part in parts
             )
 
-        points = self.nodes.size if few_nodes else self.target.size
-        seconds = costs.nufft_point * sum(
-            part.expansion.cost_factor * ((part.expansion.rank + 2) * part.count + part.expansion.rank * points)
-            for part in parts
-        )
+        def seconds_at(points: int) -> float:
+            return costs.nufft_point * sum(
+                part.expansion.cost_factor * ((part.expansion.rank + 2) * part.count + part.expansion.rank * points)
+                for part in parts
+            )
+
+        if isinstance(self.target, PlanePoints):
+            few_nodes &= seconds_at(self.nodes.size) + interpolation < seconds_at(self.target.size)
+        seconds = seconds_at(self.nodes.size if few_nodes else self.target.size)
         ranks = [part.expansion.rank for part in parts]
         how = How(NUFFT, self.target.size, ranks=(min(ranks), max(ranks)), parts=len(parts))
         if few_nodes:

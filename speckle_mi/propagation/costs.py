@@ -33,8 +33,10 @@ class Costs:
     multiply_add: float
     pixel: float
 
-    def interpolation(self, nodes: tuple[int, int], shape: tuple[int, int]) -> float:
-        """From (along u, along v) nodes to (rows, columns) pixels."""
+    def interpolation(self, nodes: tuple[int, int], shape: tuple[int, ...]) -> float:
+        """From (along u, along v) nodes to (rows, columns) pixels, or to (n,) scattered points."""
+        if len(shape) == 1:  # every point has a weight for every node of its own
+            return shape[0] * (2 * nodes[0] * nodes[1] * self.multiply_add + self.pixel)
         rows, columns = shape
         products = 2 * columns * nodes[1] * (nodes[0] + rows)
         return products * self.multiply_add + rows * columns * self.pixel

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..geometry.plane import PlaneGrid, PlanePoints
 from .area import Area
-from .chebyshev import TensorSeries, axis_tails, tensor_coefficients, tensor_nodes, tensor_polynomials
+from .chebyshev import TensorSeries, axis_tails, tensor_coefficients, tensor_nodes
 from .paths import Path
 from .source_box import SourceBox
 
@@ -47,10 +47,11 @@ class InterpolatedPath:
         offset = targets - self.target.origin
         at = self.rectangle.unit_places(offset @ self.target.u, offset @ self.target.v)
         x = self.box.to_local(sources)
-        polynomials = tensor_polynomials(self.source_index, x).T
-        length, re, im = np.split(self.target_series(at).T, 3)
-        amplitude = polynomials @ re
-        return polynomials @ length, amplitude if self.real else amplitude + 1j * (polynomials @ im)
+        parts = 2 if self.real else 3
+        there = np.moveaxis(self.target_series(at).reshape(len(at), 3, -1)[:, :parts], 1, 0)
+        series = TensorSeries(self.source_index, there.reshape(parts * len(at), -1).T)
+        length, *amplitude = np.split(series(x), parts, axis=1)
+        return length, amplitude[0] if self.real else amplitude[0] + 1j * amplitude[1]
 
 
 def interpolated(
