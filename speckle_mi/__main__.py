@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import command, parser
+from .command_line import command, parser, print_json
 from .errors import InputError
 
 _FIRST_LINE = re.compile(r"``python -m speckle_mi\.(?P<name>\w+)[^`]*``: (?P<does>.*)")
@@ -30,12 +30,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     known = commands()
     width = max(map(len, known))
     lines = "\n".join(f"  {name:<{width}}  {does}" for name, does in known.items())
-    made = parser("", f"Commands, each with its own --help:\n\n{lines}")
+    made = parser("", f"Commands, each with its own --help:\n\n{lines}", "sweep --help")
     made.add_argument("command", nargs="?", metavar="COMMAND ...", help="a command and what it is given")
-    name = made.parse_args(arguments).command
+    options = made.parse_args(arguments)
+    name = options.command
     if name is not None:
         raise InputError(f"{name!r}: there is no such command, must be one of {', '.join(known)}")
-    made.print_help()
+    print_json(options, known)
+    if not options.json:
+        made.print_help()
 
 
 if __name__ == "__main__":

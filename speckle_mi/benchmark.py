@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from .command_line import add_force, command, parser, say
+from .command_line import add_force, command, parser, print_json, say
 
 SCATTERERS, QUICK_SCATTERERS = (100, 1_000, 10_000, 100_000, 1_000_000), (100, 1_000)
 PIXELS, QUICK_PIXELS = (744, 480), (186, 120)
@@ -64,6 +64,7 @@ def _compare_shifts(options, identity: dict) -> None:
             write_json(options.out, {"identity": identity, "system": system, "shifts": [asdict(row) for row in rows]})
     heads, cells = table(rows)
     print_table(console, heads, cells, title=title(rows), left=(), group_by=0)
+    print_json(options, {"identity": identity, "system": system, "shifts": [asdict(row) for row in rows]})
 
 
 def _measure(options, specimen, console, content: dict) -> None:
@@ -97,13 +98,14 @@ def _measure(options, specimen, console, content: dict) -> None:
         figures = measure()
         keep(name, figures)
         show(console, figures)
+    print_json(options, content)
     say(options, f"{time.perf_counter() - begin:.0f} s in all")
 
 
 def _parser():
     from .machine.backend import DEFAULT_VARIANT
 
-    made = parser("benchmark", "Measures speed and error beside peers, in one run.")
+    made = parser("benchmark", "Measures speed and error beside peers, in one run.", "--quick --out speed.json")
     made.add_argument("--out", metavar="FILE.json", help="also write the figures as JSON")
     made.add_argument(
         "--quick", action="store_true", help="few scatterers, few pixels: does it work, not how fast is it"

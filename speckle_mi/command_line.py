@@ -85,6 +85,12 @@ class _Parser(argparse.ArgumentParser):
         self.register("type", int, _whole_number)
         self.register("type", float, _number)
 
+    def parse_args(self, args=None, namespace=None):
+        """As argparse; with ``--json`` nothing but JSON is printed."""
+        options = super().parse_args(args, namespace)
+        options.quiet |= options.json
+        return options
+
     def error(self, message: str) -> NoReturn:
         raise InputError(f"{message.removeprefix('argument ')} (see --help)")
 
@@ -103,25 +109,28 @@ def _number(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r} must be a number") from None
 
 
-def parser(name: str, description: str) -> argparse.ArgumentParser:
+def parser(name: str, description: str, example: str = "") -> argparse.ArgumentParser:
     """Parser for ``python -m speckle_mi.<name>`` with the flags that every command knows.
 
-    Its ``parse_args`` raises InputError. Lines of the description stay as they are.
+    Its ``parse_args`` raises InputError. Lines of the description stay as they are. example: what the command may be
+    given, shown with its help.
     """
+    program = f"python -m speckle_mi.{name}".removesuffix(".")
     made = _Parser(
-        prog=f"python -m speckle_mi.{name}".removesuffix("."), description=description, allow_abbrev=False,
+        prog=program, description=description, allow_abbrev=False, epilog=f"example:\n  {program} {example}".rstrip(),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip
     made.add_argument("--quiet", action="store_true", help="print errors only")
+    made.add_argument("--json", action="store_true", help="print what was found as JSON, and nothing else")
     made.add_argument("--debug", action="store_true", help="show the traceback of an error")
     return made
 
 
-def scene_parser(name: str, description: str) -> argparse.ArgumentParser:
+def scene_parser(name: str, description: str, example: str = "") -> argparse.ArgumentParser:
     """:func:`parser` for commands that take a scene."""
     from .machine.backend import DEFAULT_VARIANT
 
-    made = parser(name, description)
+    made = parser(name, description, example)
     made.add_argument("scene", metavar="SCENE", help="Mitsuba XML scene file")
     made.add_argument(
         "-D", dest="defaults", metavar="NAME=VALUE", action="append", default=[],
@@ -213,6 +222,16 @@ def require_range(arguments: argparse.Namespace) -> None:
     """InputError where the width of a range of motions is none."""
     if not 0 < arguments.range < math.inf:
         raise InputError(f"--range {arguments.range:g}: must be a finite number above 0 (mm or deg)")
+
+
+def print_json(arguments: argparse.Namespace, content: object) -> None:
+    """Prints what was found as JSON where the user asked for it; what is not finite is null."""
+    if arguments.json:
+        import json
+
+        from .machine.files import plain
+
+        print(json.dumps(plain(content), allow_nan=False), flush=True)
 
 
 def say(arguments: argparse.Namespace, text: str) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import (
-    add_detector, add_force, add_surfaces, command, parser, require_range, say,
+    add_detector, add_force, add_surfaces, command, parser, print_json, require_range, say,
 )  # fmt: skip
 from .errors import InputError
 
@@ -74,7 +74,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         found = study.result(lambda: progress.advance(bar))
     report.write_comparison(folder / "comparison.csv", found)
     pictures = report.write_comparison_plots(folder, found)
-    write_json(target, report.comparison_to_json(found) | {"identity": identity})
+    content = report.comparison_to_json(found) | {"identity": identity}
+    write_json(target, content)
+    print_json(options, content)
     if not options.quiet:
         report.print_comparison(found)
         say(options, f"{folder}: comparison.json, comparison.csv, {', '.join(pictures)}")
@@ -93,7 +95,12 @@ def _text(path: str) -> str:
 def _parser():
     from .machine.backend import DEFAULT_VARIANT
 
-    made = parser("compare", "Puts assemblies side by side and ranks them.")
+    made = parser(
+        "compare", "Puts assemblies side by side and ranks them.",
+        "scenes/tilted_laser.xml scenes/both_tilted.xml --require R.toml --out results/compared\n" + EXAMPLE
+        + "z.u, crosstalk.z.u, crosstalk.z, least.x+y, condition.x+y, resolution.x,\n"
+        "  decorrelation.x, extent.x, clearance, seconds",
+    )  # fmt: skip
     made.add_argument("scenes", metavar="SCENE", nargs="+", help="Mitsuba XML scene files")
     made.add_argument(
         "-D", dest="defaults", metavar="NAME=VALUE", action="append", default=[],
@@ -105,10 +112,6 @@ def _parser():
     made.add_argument("--range", type=float, default=0.2,
                       help="range of motions that the resolution is for, mm or deg (default: %(default)s)")  # fmt: skip
     made.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
-    made.epilog = EXAMPLE + (
-        "z.u, crosstalk.z.u, crosstalk.z, least.x+y, condition.x+y, resolution.x,\n"
-        "  decorrelation.x, extent.x, clearance, seconds"
-    )
     add_detector(made)
     add_force(made)
     return made

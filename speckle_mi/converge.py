@@ -17,7 +17,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import add_detector, add_force, command, say, scene_parser
+from .command_line import add_detector, add_force, command, print_json, say, scene_parser
 from .errors import InputError
 
 POINT_SOURCES = (10, 100, 1_000, 10_000, 100_000, 1_000_000)
@@ -71,13 +71,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
     total = time.perf_counter() - start
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     write_findings(folder / "converge.json", asked, found, {"system": system, "seconds_total": total})
+    print_json(options, json.loads((folder / "converge.json").read_text(encoding="utf-8")))
     if not options.quiet:
         print_report(found, system)
         say(options, f"{folder}: converge.csv, converge.json, converge.png and statistics.png, {total:.0f} s in all")
 
 
 def _parser():
-    parser = scene_parser("converge", "Measures error against run time of every method on a scene.")
+    parser = scene_parser(
+        "converge", "Measures error against run time of every method on a scene.",
+        "scenes/tilted_laser.xml --quick --out results/convergence",
+    )  # fmt: skip
     parser.add_argument("--out", required=True, metavar="DIR", help="folder for the results")
     parser.add_argument(
         "--point-sources", metavar="10,100,...", help="values of N1 (default: 10 to 1000000, quick: 10, 100)"

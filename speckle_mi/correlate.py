@@ -16,7 +16,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from .command_line import command, parser
+from .command_line import command, parser, print_json
 from .errors import InputError
 
 FITS = ("shift", "rotation", "scale", "affine")
@@ -35,11 +35,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         # JSON has no NaN.
         print(json.dumps(_known(compared(arguments.moved[0], 1)), indent=2))
         return 0
-    return _table(arguments.moved, compared)
+    return _table(arguments, compared)
 
 
 def _arguments():
-    made = parser("correlate", "Shift of the speckle pattern between images: JSON on stdout, CSV for several.")
+    made = parser(
+        "correlate", "Shift of the speckle pattern between images: JSON on stdout, CSV for several.",
+        "rest.exr moved.exr --fit affine",
+    )  # fmt: skip
     kinds = "a field image, or any EXR, TIFF, PNG, JPEG"
     made.add_argument("reference", metavar="REF", help=f"image before the motion: {kinds}")
     made.add_argument("moved", metavar="MOVED", nargs="+", help="image after the motion; several give a table")
@@ -147,17 +150,20 @@ def _known(result: dict) -> dict:
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in result.items()}
 
 
-def _table(names: list[str], compared: Callable[[str, int], dict]) -> int:
+def _table(arguments, compared: Callable[[str, int], dict]) -> int:
     """Prints a row for each moved image; one that cannot be read is a row that says so. Returns the exit status."""
     from .images.field_image import FieldImageError
 
     rows, status = [], 0
-    for number, name in enumerate(names, start=1):
+    for number, name in enumerate(arguments.moved, start=1):
         try:
             rows.append({"moved": name, **_known(compared(name, number))})
         except FieldImageError as error:
             rows.append({"moved": name, "status": UNREADABLE, "message": str(error)})
             status = 2
+    print_json(arguments, rows)
+    if arguments.json:
+        return status
     columns = max(rows, key=len)
     for row in rows:
         if isinstance(row.get("window"), list):

@@ -13,11 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .command_line import add_motions, command, parser, require_range
+from .command_line import add_motions, command, parser, print_json, require_range
 from .errors import InputError
-
-EXAMPLE = """example:
-  python -m speckle_mi.pose left.json right.json top.json shifts.csv --out motion.json"""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -42,15 +39,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     scale = np.full(len(dofs), options.range / 2)
     seen = observability(measured.matrix, scale)
     estimates = measured.estimates(scale)
+    content = to_json(dofs, seen, estimates)
     if options.out is not None:
-        write_json(options.out, to_json(dofs, seen, estimates))
+        write_json(options.out, content)
+    print_json(options, content)
     if not options.quiet:
         print_motions(dofs, seen, estimates)
 
 
 def _parser():
-    made = parser("pose", "Turns shifts of one or several detectors into the target's motion.")
-    made.epilog = EXAMPLE
+    made = parser(
+        "pose", "Turns shifts of one or several detectors into the target's motion.",
+        "left.json right.json top.json shifts.csv --out motion.json",
+    )  # fmt: skip
     files = "SUMMARY.json ... SHIFTS.csv"
     made.add_argument("files", nargs="+", metavar=files, help="sensitivities of each detector, and the shifts")
     add_motions(made, "motions that there are")

@@ -6,12 +6,15 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import add_detector, command, say, scene_parser
+from .command_line import add_detector, command, print_json, say, scene_parser
 from .errors import InputError
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = scene_parser("preview", "Draws the assembly of a scene: from the side and from above, or in space.")
+    parser = scene_parser(
+        "preview", "Draws the assembly of a scene: from the side and from above, or in space.",
+        "scenes/imaging.xml -o imaging.html --show",
+    )  # fmt: skip
     parser.add_argument(
         "-o", "--output", metavar="F.png|F.svg|F.html", help="picture to write, or page in which it can be turned"
     )
@@ -48,6 +51,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from .report.drawing import draw_layout
 
         draw_layout(output, layout, title)
+    print_json(options, {
+        "output": output, "facts": dict(layout.facts), "warnings": list(layout.warnings),
+        "problems": [{"place": one.place, "words": one.words} for one in layout.problems if one.words],
+        "ways": {way: len(rays) for way, rays in layout.rays.items()},
+    })  # fmt: skip
     for what, value in layout.facts:
         say(options, f"{what}: {value}")
     for warning in layout.warnings:

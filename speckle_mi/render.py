@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .command_line import add_detector, add_force, add_images, command, say, scene_parser
+from .command_line import add_detector, add_force, add_images, command, print_json, say, scene_parser
 from .errors import InputError
 
 if TYPE_CHECKING:
@@ -20,7 +20,9 @@ MAX_LAYERS = 1_000_000
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = scene_parser("render", "Renders one field image of a scene.")
+    parser = scene_parser(
+        "render", "Renders one field image of a scene.", "scenes/tilted_laser.xml -o moved.exr --pose x=0.02,ry=0.01"
+    )
     parser.add_argument("-o", "--output", required=True, metavar="F.exr", help="EXR file to write")
     parser.add_argument("--pose", metavar="x=0.02,ry=0.01", help="displacement of the target (mm, deg)")
     parser.add_argument("--sources", metavar="F.npz", help="also write what the sum was made of")
@@ -83,9 +85,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
         start = time.perf_counter()
         frames = simulations.frames(pose, shot=options.shot)
         seconds = time.perf_counter() - start
+    written = {}
     for name, frame in frames.items():
         took = seconds if len(frames) == 1 else frame.seconds
         _write(files[name], assemblies[name], frame, settings[name], pose, options, took)
+        written[name] = settings[name] | {
+            "output": str(files[name].output), "plan": frame.plan, "warnings": list(frame.warnings), "seconds": took,
+            "scatterers": frame.scatterers.count, "numerical_error": frame.numerical_error,
+        }  # fmt: skip
+    print_json(options, {"detectors": written} if len(written) > 1 else written[name])
 
 
 @dataclass(frozen=True)

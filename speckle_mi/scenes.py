@@ -8,12 +8,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import command, parser, say
+from .command_line import command, parser, print_json, say
 from .errors import InputError
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    made = parser("scenes", "Says where the example scenes are and what each shows, or copies one.")
+    made = parser(
+        "scenes", "Says where the example scenes are and what each shows, or copies one.", "imaging --to my_sensor"
+    )
     made.add_argument("name", nargs="?", metavar="NAME", help="scene to copy (default: list them)")
     made.add_argument("--to", metavar="DIR", help="folder to copy it to (default: the current one)")
     made.add_argument("--force", action="store_true", help="overwrite a file of that name")
@@ -23,16 +25,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     elif options.to is not None or options.force:
         raise InputError("--to and --force: need the NAME of a scene to copy")
     else:
-        _list()
+        _list(options)
 
 
-def _list() -> None:
+def _list(options) -> None:
     import shutil
     import textwrap
 
     from .scene.shipped import folder, scenes, summary
 
     known = scenes()
+    print_json(options, {"folder": str(folder()), "scenes": {name: summary(path) for name, path in known.items()}})
+    if options.json:
+        return
     width, columns = max(map(len, known)), shutil.get_terminal_size().columns
     print(folder())
     for name, path in known.items():
@@ -56,6 +61,7 @@ def _copy(options) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(target) as temporary:
         shutil.copyfile(known[name], temporary)
+    print_json(options, {"written": str(target)})
     say(options, str(target))
 
 

@@ -11,13 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .command_line import (
-    add_detector, add_force, add_motions, add_precision, add_surfaces, command, require_range, scene_parser,
-    surfaces_of,
+    add_detector, add_force, add_motions, add_precision, add_surfaces, command, print_json, require_range,
+    scene_parser, surfaces_of,
 )  # fmt: skip
 from .errors import InputError
-
-EXAMPLE = """example:
-  python -m speckle_mi.sensitivity scenes/tilted_laser.xml --dof x,ry --precision 1% --out tilted.json"""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -60,8 +57,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     for name, simulation in simulations.by_detector.items():
         found = sensitivity_of(simulation, results[name], dofs, options.range)
         summaries[name] = summarise_one_frame(simulation, found) | asked
+    content = together(summaries, dofs, options.range)
     if options.out is not None:
-        write_json(options.out, together(summaries, dofs, options.range))
+        write_json(options.out, content)
+    print_json(options, content)
     if not options.quiet:
         print_together(summaries, dofs, options.range)
 
@@ -102,8 +101,10 @@ def _precision(options):
 
 
 def _parser():
-    made = scene_parser("sensitivity", "Measures sensitivities from one frame a surface.")
-    made.epilog = EXAMPLE
+    made = scene_parser(
+        "sensitivity", "Measures sensitivities from one frame a surface.",
+        "scenes/tilted_laser.xml --dof x,ry --precision 1% --out tilted.json",
+    )  # fmt: skip
     add_motions(made, "motions")
     add_surfaces(made)
     add_precision(made)

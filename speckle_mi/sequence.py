@@ -14,12 +14,8 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import add_detector, add_force, command, say, scene_parser
+from .command_line import add_detector, add_force, command, print_json, say, scene_parser
 from .errors import InputError
-
-EXAMPLE = """examples:
-  python -m speckle_mi.sequence scenes/tilted_laser.xml --sine z=0.01,50 --rate 400 --frames 80
-  python -m speckle_mi.sequence scenes/tilted_laser.xml --motion motion.csv --rate 200 --exposure 1e-3 --out frames"""
 
 FRAMES = 50
 """Frames of a motion without an end unless asked otherwise."""
@@ -32,8 +28,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
     start = time.perf_counter()
     options = _parser().parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
-    import json
-
     from .experiments.sequence import SequenceSettings, run_sequence
     from .machine.files import for_part, require_folder
     from .scene.load import open_scene
@@ -75,9 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     summary = report.summarise_sequence(made, assemblies)
     summary |= {"scene": options.scene, "defaults": options.defaults, "seconds_total": time.perf_counter() - start}
     report.write_sequence_summary(folder / "sequence.json", summary)
-    if options.json:
-        print(json.dumps(json.loads((folder / "sequence.json").read_text(encoding="utf-8"))))
-        return
+    print_json(options, report.together(summary))
     for name, one in summary["detectors"].items():
         _say_track(options, name if len(assemblies) > 1 else "track", one)
     say(options, f"{folder}: {settings.count} frames of up to {summary['moments']} moments each, truth.csv, track.csv, "
@@ -85,8 +77,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parser():
-    made = scene_parser("sequence", "Frames of a moving target in time, blurred by the exposure, and their track.")
-    made.epilog = EXAMPLE
+    made = scene_parser(
+        "sequence", "Frames of a moving target in time, blurred by the exposure, and their track.",
+        "scenes/tilted_laser.xml --sine z=0.01,50 --rate 400 --exposure 1e-3 --frames 80",
+    )  # fmt: skip
     made.add_argument("--motion", metavar="M.csv", help="table of time_s, x, y, z (mm), rx, ry, rz (deg)")
     for flag, shape, help_text in (
         ("--sine", "z=0.01,50", "amplitude (mm, deg), frequency (Hz) and perhaps a phase (deg) of a motion"),
@@ -104,7 +98,6 @@ def _parser():
                       "reference (default: %(default)s)")  # fmt: skip
     images_help = "what cameras save (default: png where one is described)"
     made.add_argument("--images", choices=("png", "tiff"), help=images_help)
-    made.add_argument("--json", action="store_true", help="print the summary as JSON")
     made.add_argument("--out", metavar="DIR", help="folder for the results (default: results/<scene>_sequence)")
     add_detector(made)
     add_force(made)

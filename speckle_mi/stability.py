@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import add_force, command, parser, say
+from .command_line import add_force, command, parser, print_json, say
 from .machine.interrupt import keeping
 
 BOUND_BROKEN = 1
@@ -16,7 +16,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # Not at the top: a command answers interrupts before it imports what takes time.
     from .machine.backend import DEFAULT_VARIANT
 
-    options_of = parser("stability", "Runs stiff and extreme cases against independent references.")
+    options_of = parser(
+        "stability", "Runs stiff and extreme cases against independent references.", "--quick --out results/stability"
+    )
     options_of.add_argument("--out", metavar="DIR", help="folder for stability.csv and stability.json")
     options_of.add_argument("--quick", action="store_true", help="the shorter catalogue that the tests run")
     options_of.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
@@ -37,6 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with keeping(keep):  # an interrupted run keeps what it has found
         for check in cases.catalogue(options.quick, progress=not options.quiet):
             checks.append(check)
+    print_json(options, cases.content(checks, identity))
     if not options.quiet:
         cases.print_checks(checks)
     broken = sum(check.verdict == BROKEN for check in checks)

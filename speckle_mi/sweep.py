@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from .command_line import (
     SURFACES, add_detector, add_execution, add_force, add_images, add_motions, add_precision, add_surfaces, command,
-    say, scene_parser, surfaces_of,
+    print_json, say, scene_parser, surfaces_of,
 )  # fmt: skip
 from .errors import InputError
 from .machine.interrupt import keeping
@@ -109,6 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     text = Path(options.scene).read_text(encoding="utf-8", errors="replace")
     made = SweepReport(assemblies, settings, results, summaries, layout_of(assemblies), line, text)
     write_report(folder / "report.html", made)
+    print_json(options, report.together(summaries))
     if not options.quiet:
         report.print_summaries(summaries)
         kept = {ALL: "all frames", FIRST: "frames of the first surface (--keep all: of each)", NONE: "no frames"}[keep]
@@ -116,7 +117,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _parser():
-    parser = scene_parser("sweep", "Moves the target, renders, correlates and reports sensitivities.")
+    parser = scene_parser(
+        "sweep", "Moves the target, renders, correlates and reports sensitivities.",
+        "scenes/tilted_laser.xml --dof x,ry --seeds 4 --out results/tilted",
+    )  # fmt: skip
     add_motions(parser, "motions to sweep")
     parser.add_argument(
         "--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)"

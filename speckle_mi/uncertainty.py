@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import SURFACES, add_detector, add_force, command, require_range, say, scene_parser
+from .command_line import SURFACES, add_detector, add_force, command, print_json, require_range, say, scene_parser
 from .errors import InputError
 
 METHODS = ("sensitivity", "sweep")
@@ -90,15 +90,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
         report.write_allowed(folder / "allowed.toml", widths)
         written.append("allowed.toml")
     found = report.uncertainty_to_json(result, widths)
-    write_json(target, found | {"scene": options.scene, "defaults": options.defaults, "identity": identity})
+    content = found | {"scene": options.scene, "defaults": options.defaults, "identity": identity}
+    write_json(target, content)
+    print_json(options, content)
     if not options.quiet:
         report.print_uncertainty(result, widths)
         say(options, f"{folder}: uncertainty.json, {', '.join(written)}")
 
 
 def _parser():
-    made = scene_parser("uncertainty", "Propagates tolerances to sensitivities.")
-    made.epilog = EXAMPLE
+    made = scene_parser(
+        "uncertainty", "Propagates tolerances to sensitivities.",
+        f"scenes/tilted_laser.xml --tolerances T.toml --out results/budget\n{EXAMPLE}",
+    )  # fmt: skip
     made.add_argument("--tolerances", metavar="T.toml", required=True, help="what varies, and how")
     made.add_argument("--samples", type=int, default=1024, help="variants of the scene, about (default: %(default)s)")
     made.add_argument("--method", choices=METHODS, default=METHODS[0],

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import command, parser, say
+from .command_line import command, parser, print_json, say
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    made = parser("view", "Shows a field image, or any image: light, phase, spectrum and statistics of the speckle.")
+    made = parser(
+        "view", "Shows a field image, or any image: light, phase, spectrum and statistics of the speckle.",
+        "moved.exr -o moved.png",
+    )  # fmt: skip
     made.add_argument("image", metavar="F.exr", help="field image, or another EXR, PNG, TIFF or JPEG")
     made.add_argument("-o", "--output", metavar="F.png|F.svg", help="picture to write")
     made.add_argument("--channel", metavar="NAME", help="channel of an EXR file to take for the intensity")
-    made.add_argument("--json", action="store_true", help="print the statistics as JSON")
     options = made.parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
     from .images.pictures import read_image
@@ -34,9 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         from .report.field_view import draw_field
 
         draw_field(options.output, image.measured, image.field, pitch, statistics, Path(options.image).name)
-    if options.json:
-        print(json.dumps(statistics.to_json(pitch)))
-        return
+    print_json(options, statistics.to_json(pitch))
     from .report.field_view import words_of
 
     rows, columns = image.measured.shape

@@ -171,10 +171,14 @@ def _write_mp4(program: str, path: Path, thumbnails: list[np.ndarray], rate: flo
             raise OSError(f"{path}: ffmpeg could not write it ({said[-1] if said else done.returncode})")
 
 
-def write_sequence_summary(path: Path, summary: dict) -> None:
-    """Writes sequence.json: of one detector without a name for it."""
+def together(summary: dict) -> dict:
+    """The summary as it is written: of one detector without a name for it."""
     detectors = summary["detectors"]
-    if len(detectors) == 1:
-        shared = {name: value for name, value in summary.items() if name != "detectors"}
-        summary = shared | next(iter(detectors.values()))
-    write_json(path, summary)
+    if len(detectors) > 1:
+        return summary
+    return {name: value for name, value in summary.items() if name != "detectors"} | next(iter(detectors.values()))
+
+
+def write_sequence_summary(path: Path, summary: dict) -> None:
+    """Writes sequence.json."""
+    write_json(path, together(summary))

@@ -54,15 +54,20 @@ def write_table(path: str | os.PathLike, records: Mapping[str, Sequence[FrameRec
     write_csv(path, [*(["detector"] if several else []), *names], rows)
 
 
-def write_summary(path: str | os.PathLike, summaries: Mapping[str, dict]) -> None:
-    """Writes summary.json without what only the plots need: the only detector's, or under ``detectors`` each one's."""
+def together(summaries: Mapping[str, dict]) -> dict:
+    """The summary without what only the plots need: the only detector's, or under ``detectors`` each one's."""
     plain = {
         detector: {name: value for name, value in summary.items() if name not in DRAWN}
         for detector, summary in summaries.items()
     }
     first = next(iter(plain.values()))
     shared = {name: first[name] for name in SHARED if name in first}
-    write_json(path, first if len(plain) == 1 else shared | {"detectors": plain})
+    return first if len(plain) == 1 else shared | {"detectors": plain}
+
+
+def write_summary(path: str | os.PathLike, summaries: Mapping[str, dict]) -> None:
+    """Writes summary.json."""
+    write_json(path, together(summaries))
 
 
 def print_summaries(summaries: Mapping[str, dict]) -> None:

@@ -37,11 +37,16 @@ def catalogue(quick: bool = False, progress: bool = False) -> Iterator[Check]:
             bar.advance(task)
 
 
+def content(checks: Sequence[Check], identity: dict) -> dict:
+    """What stability.json holds."""
+    return {"identity": identity, "checks": [asdict(check) for check in checks]}
+
+
 def write_table(folder: Path, checks: Sequence[Check], identity: dict) -> None:
     """Writes stability.csv and stability.json, each whole or not at all."""
-    rows = [asdict(check) for check in checks]
-    write_csv(folder / "stability.csv", [column.name for column in fields(Check)], rows)
-    write_json(folder / "stability.json", {"identity": identity, "checks": rows})
+    whole = content(checks, identity)
+    write_csv(folder / "stability.csv", [column.name for column in fields(Check)], whole["checks"])
+    write_json(folder / "stability.json", whole)
 
 
 def print_checks(checks: Sequence[Check]) -> None:
