@@ -52,6 +52,7 @@ _PUBLIC = {
     "load_detectors": "scene.load",
     "load_scene": "scene.load",
     "one_frame_sensitivity": "experiments.one_frame",
+    "optimise_scene": "studies.optimisation",
     "propagate_tolerances": "studies.uncertainty",
     "read_image": "images.pictures",
     "theory": "theory",

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import (
-    add_detector, add_force, add_surfaces, command, parser, print_json, require_range, say,
+    add_detector, add_execution, add_force, add_surfaces, command, parser, print_json, require_range, say,
 )  # fmt: skip
 from .errors import InputError
 
@@ -34,8 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise InputError(f"--seeds {options.seeds}: must be at least 3, from which figures have intervals")
     require_range(options)
     # Not at the top: a command answers interrupts before it imports what takes time.
+    from .experiments.execution import Shard, executor_of, require_scheduler
     from .machine.files import identity_in, refuse_other_settings, require_folder, write_json
 
+    shard = Shard.parse(options.shard)
+    require_scheduler(options.scheduler)
     folder = require_folder(options.out)
     from .scene.load import split_defaults
     from .studies.comparison import SURFACES, ComparisonStudy, Swept, candidates_of, scene_names
@@ -58,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.journal import Journal
     from .machine.progress import progress_bars
     from .report import comparison_report as report
+    from .studies.together import Hands, LeftToOthers
 
     candidates = candidates_of(designs, list(swept.values()))
     surfaces = options.seeds or SURFACES
@@ -68,10 +72,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }  # fmt: skip
     target = folder / "comparison.json"
     refuse_other_settings(target, identity_in(target), identity, options.force)
-    with Journal(folder / "jobs") as done, progress_bars(options.quiet) as progress:
-        study = ComparisonStudy(candidates, options.require, surfaces, options.range, list(swept.values()), done=done)
+    with (
+        executor_of(options.scheduler) as executor,
+        Journal(folder / "jobs", shard.journal) as done,
+        progress_bars(options.quiet) as progress,
+    ):
+        hands = Hands(executor, done, shard)
+        study = ComparisonStudy(candidates, options.require, surfaces, options.range, list(swept.values()), hands)
         bar = progress.add_task("assemblies", total=len(candidates))
-        found = study.result(lambda: progress.advance(bar))
+        try:
+            found = study.result(lambda: progress.advance(bar))
+        except LeftToOthers as left:
+            say(options, f"{folder}: part {options.shard} is done, {left}")
+            return
     report.write_comparison(folder / "comparison.csv", found)
     pictures = report.write_comparison_plots(folder, found)
     content = report.comparison_to_json(found) | {"identity": identity}
@@ -113,6 +126,7 @@ def _parser():
                       help="range of motions that the resolution is for, mm or deg (default: %(default)s)")  # fmt: skip
     made.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
     add_detector(made)
+    add_execution(made)
     add_force(made)
     return made
 

@@ -12,7 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import SURFACES, add_detector, add_force, command, print_json, require_range, say, scene_parser
+from .command_line import (
+    SURFACES, add_detector, add_execution, add_force, command, print_json, require_range, say, scene_parser,
+)  # fmt: skip
 from .errors import InputError
 
 METHODS = ("sensitivity", "sweep")
@@ -49,8 +51,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise InputError(f"--steps {options.steps}: must be at least 2")
     require_range(options)
     # Not at the top: a command answers interrupts before it imports what takes time.
+    from .experiments.execution import Shard, executor_of, require_scheduler
     from .machine.files import identity_in, refuse_other_settings, require_folder, write_json
 
+    shard = Shard.parse(options.shard)
+    require_scheduler(options.scheduler)
     folder = require_folder(options.out)
     from .scene.load import split_defaults
     from .studies.design import Design
@@ -61,6 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.journal import Journal
     from .machine.progress import progress_bars
     from .report import uncertainty_report as report
+    from .studies.together import Hands, LeftToOthers
     from .studies.uncertainty import UncertaintySettings, UncertaintyStudy
     from .studies.widths import ITERATIONS, allowed_widths
 
@@ -75,10 +81,18 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }  # fmt: skip
     target = folder / "uncertainty.json"
     refuse_other_settings(target, identity_in(target), identity, options.force)
-    with Journal(folder / "jobs") as done, progress_bars(options.quiet) as progress:
-        study = UncertaintyStudy(design, tolerances, settings, done=done)
+    with (
+        executor_of(options.scheduler) as executor,
+        Journal(folder / "jobs", shard.journal) as done,
+        progress_bars(options.quiet) as progress,
+    ):
+        study = UncertaintyStudy(design, tolerances, settings, Hands(executor, done, shard))
         bar = progress.add_task("samples", total=study.count)
-        result = study.result(lambda: progress.advance(bar))
+        try:
+            result = study.result(lambda: progress.advance(bar))
+        except LeftToOthers as left:
+            say(options, f"{folder}: part {options.shard} is done, {left}")
+            return
         if study.allowed:
             bar = progress.add_task("widths", total=2 * ITERATIONS)
         widths = allowed_widths(study, result, lambda: progress.advance(bar))
@@ -116,6 +130,7 @@ def _parser():
     made.add_argument("--steps", type=int, default=4, help="displacements of a sweep (default: %(default)s)")
     made.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
     add_detector(made)
+    add_execution(made)
     add_force(made)
     return made
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 from conftest import SCENES
-from test_commands import DONE, refused, run
+from test_commands import DONE, run
 
 THREE = [str(SCENES / f"{name}.xml") for name in ("tilted_laser", "tilted_detector", "both_tilted")]
 LASER, DETECTOR, BOTH = range(3)
@@ -123,10 +123,15 @@ def test_a_design_sweep_is_a_table_a_curve_and_a_ranking(tmp_path):
         (None, ("--seeds", "2"), "must be at least 3"),
     ],
 )
-def test_impossible_requirements_and_unknown_names_are_refused(tmp_path, requirement, flags, words):
-    given = []
+def test_impossible_requirements_and_unknown_names_are_refused(mitsuba, tmp_path, requirement, flags, words):
+    from speckle_mi.compare import main
+    from speckle_mi.errors import InputError
+
+    given = [THREE[LASER], *flags, "--out", str(tmp_path / "out")]
     if requirement is not None:
         (tmp_path / "R.toml").write_text(requirement, encoding="utf-8")
-        given = ["--require", "R.toml"]
-    refused(run("compare", THREE[LASER], *given, *flags, "--out", "out", cwd=tmp_path), words)
+        given += ["--require", str(tmp_path / "R.toml")]
+    with pytest.raises(InputError) as caught:
+        main(given)
+    assert words in str(caught.value) and "\n" not in str(caught.value)
     assert not list((tmp_path / "out").glob("*.*"))

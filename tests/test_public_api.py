@@ -16,7 +16,7 @@ from test_commands import BAD_INPUT, DONE, refused, run
 import speckle_mi
 
 NAMES = {"load_scene", "Assembly", "Pose", "Simulation", "FieldImage", "read_image", "Correlator", "fit_sensitivity",
-         "propagate_tolerances", "compare_scenes",
+         "propagate_tolerances", "compare_scenes", "optimise_scene",
          "expected_sensitivity", "one_frame_sensitivity", "theory", "Simulations", "load_detectors"}  # fmt: skip
 
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..experiments.jobs import Executor, Job, Work, run
+from ..experiments.jobs import Job, Work
 from ..experiments.one_frame import RANGE, SURFACES
-from ..machine.journal import Journal
 from .design import Design
 from .evaluation import Asked, Evaluation, Evaluator, Variants
 from .figures import Figure, Figures, figure_named
 from .requirements import FAILS, MEETS, OPEN, Requirements, in_order, read_requirements
+from .together import ALONE, Hands
 
 ALIKE = 0.1
 """Relative difference up to which assemblies are said to be alike."""
@@ -153,12 +153,11 @@ class ComparisonStudy:
 
     def __init__(
         self, candidates: Sequence[DesignCandidate], requirements: str | None = None, surfaces: int = SURFACES,
-        width: float = RANGE, swept: Sequence[Swept] = (), executor: Executor | None = None,
-        done: Journal | None = None,
+        width: float = RANGE, swept: Sequence[Swept] = (), hands: Hands = ALONE,
     ) -> None:  # fmt: skip
         """requirements: path of a file; surfaces, width: as of ``sensitivity``. Raises InputError."""
         self._candidates, self._surfaces, self._width, self._swept = list(candidates), surfaces, width, tuple(swept)
-        self._executor, self._done = executor, done
+        self._hands = hands
         held = {one.scene: one.design.assemblies({}) for one in candidates}
         self.detectors = list(next(iter(held.values())))
         if any(len(one) != len(self.detectors) for one in held.values()):
@@ -179,14 +178,10 @@ class ComparisonStudy:
         return Asked(candidate.values, tuple(range(first.seed, first.seed + count)))
 
     def result(self, advance: Callable[[], None] = lambda: None) -> DesignComparison:
-        """Evaluates all candidates. Raises InputError where none of them can be."""
+        """Evaluates all candidates. Raises InputError where none of them can be, LeftToOthers."""
         works = {name: Work(Evaluator, Variants(design, pixels=None)) for name, design in self._designs()}
         jobs = [Job(works[one.scene], self._asked(one)) for one in self._candidates]
-        found: dict[str, Evaluation] = {}
-        for job, result in run(jobs, self._executor, self._done):
-            found[job.key] = Evaluation.of(result)
-            advance()
-        evaluations = [found[job.key] for job in jobs]
+        evaluations = self._hands.evaluated(jobs, advance, shared=True)
         if all(one.failed for one in evaluations):
             raise InputError(f"none of {len(jobs)} assemblies can be, the first: {evaluations[0].failed}")
         figures = [self._figures(one) for one in evaluations]

@@ -71,10 +71,10 @@ class Evaluation:
 
     theory: (d, 6 axes, 6 motions) of first order, axes u, v, x, y, cog_u, cog_v; measured: (k, d, 6, 6) of surfaces;
     curvature: (k, d, 6) kappa [1/mm^2 or 1/deg^2] of each, where correlation falls as exp(-kappa q^2); doubt: (d, 6, 6)
-    half widths of what is common to all surfaces and not known, by the fields' error and by curvature; extent: (3,) size
-    [mm] along the world's axes of the box around all parts; clearance: least gap [mm] between the laser's light and any
-    part but the target; failed: why there is nothing, empty where there is; adjusted: what the compensators were set to;
-    seconds: of a frame of one surface.
+    half widths of what is common to all surfaces and not known, by the fields' error and by curvature; extent: (3,)
+    size [mm] along the world's axes of the box around all parts; clearance: least gap [mm] between the laser's light
+    and any part but the target; failed: why there is nothing, empty where there is; adjusted: what the compensators
+    were set to; seconds: of a frame of one surface.
     """
 
     theory: np.ndarray

@@ -14,13 +14,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..experiments.jobs import Executor, Job, Work, run
+from ..experiments.jobs import Job, Work
 from ..experiments.one_frame import RANGE, SURFACES
-from ..machine.journal import Journal
 from .camera_part import camera_uncertainty
 from .design import Design
 from .entries import MatrixEntry, entries_of, entry_named
 from .evaluation import Asked, Compensator, Evaluation, Evaluator, Variants, theory_of
+from .together import ALONE, Hands
 from .tolerances import Tolerances, read_tolerances, tolerances_of
 from .variance import FEWEST_ROWS, Spread, base_rows, probabilities, spread_of
 
@@ -143,11 +143,11 @@ class UncertaintyStudy:
 
     def __init__(
         self, design: Design, tolerances: Tolerances, settings: UncertaintySettings | None = None,
-        executor: Executor | None = None, done: Journal | None = None,
+        hands: Hands = ALONE,
     ) -> None:  # fmt: skip
-        """executor, done: as of :func:`run`. Raises InputError for names that the scene has not."""
+        """hands: who does its jobs. Raises InputError for names that the scene has not."""
         self.tolerances, self.settings = tolerances, settings or UncertaintySettings()
-        self._executor, self._done = executor, done
+        self._hands = hands
         self.nominal = design.require(tolerances.parameters, "tolerance of ")
         self._held = design.assemblies({})
         self.detectors = list(self._held)
@@ -181,16 +181,14 @@ class UncertaintyStudy:
         factors = len(self.tolerances.factors)
         return base_rows(self.settings.samples, factors) * (factors + 2) + 2 * len(self.nominal) + 1
 
-    def evaluated(self, asked: list[Asked], advance: Callable[[], None] = lambda: None) -> list[Evaluation]:
-        """What is asked for, in that order; advance is called for each."""
-        found = {}
-        for job, result in run((Job(self._work, one) for one in asked), self._executor, self._done):
-            found[job.item] = Evaluation.of(result)
-            advance()
-        return [found[one] for one in asked]
+    def evaluated(
+        self, asked: list[Asked], advance: Callable[[], None] = lambda: None, shared: bool = False
+    ) -> list[Evaluation]:
+        """What is asked for, in that order; advance is called for each. Shared as in :class:`Hands`."""
+        return self._hands.evaluated([Job(self._work, one) for one in asked], advance, shared)
 
     def result(self, advance: Callable[[], None] = lambda: None) -> UncertaintyResult:
-        """Evaluates all variants. Raises InputError where too few of them can be."""
+        """Evaluates all variants. Raises InputError where too few of them can be, LeftToOthers."""
         parameters, factors = self.tolerances.parameters, self.tolerances.factors
         middles = {one.parameter: one.middle for factor in factors for one in factor.tolerances}
         steps = [
@@ -213,7 +211,7 @@ class UncertaintyStudy:
             # Where all has theory, frames are its check, for which A and B are enough.
             with_frames = blocks * drawn.shape[1]
             asked = [_asked(one, self.seeds if number < with_frames else ()) for number, one in enumerate(rows)]
-            found = _Found(self.evaluated(asked, advance), drawn.shape[:2], len(self.seeds))
+            found = _Found(self.evaluated(asked, advance, shared=True), drawn.shape[:2], len(self.seeds))
             if np.count_nonzero(found.kept) < FEWEST_ROWS:
                 raise InputError(f"{found.failed} of {len(rows)} samples cannot be, the first: {found.reason}")
             is_known = with_theory & np.isfinite(found.theory).all(axis=(0, 1))
