@@ -24,9 +24,9 @@ def main(kind: str, examples: str, outcomes: str) -> None:
     ):
         judge(b"", Path(folder))  # untimed: the first one waits for the imports
         for line in given:
-            start = time.perf_counter()
+            start = time.process_time()
             outcome, message = judge(base64.b64decode(json.loads(line)), Path(folder))
-            out.write(json.dumps([outcome, message, time.perf_counter() - start]) + "\n")
+            out.write(json.dumps([outcome, message, time.process_time() - start]) + "\n")
             out.flush()
 
 

@@ -27,7 +27,7 @@ BATCHES = {"scene": 4, "exr": 5, "picture": 4}
 """Batches of each kind: 3,250 examples together."""
 
 SLOWEST = 10.0
-"""Seconds that a single example may take on a loaded machine; it takes milliseconds."""
+"""Seconds of computing that a single example may take; it takes milliseconds."""
 
 PATIENCE = 240
 """Seconds for a batch, start of the process included, after which it counts as hung."""
