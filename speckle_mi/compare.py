@@ -4,7 +4,7 @@
 
 R.toml has a table a figure with at_most, at_least or both. -D name=first:last:count sweeps a number of the scenes, a
 <default> or one of a part as `uncertainty` names them; two of these make maps. Results: comparison.json,
-comparison.csv, comparison.png.
+comparison.csv, results.nc, comparison.png.
 """
 
 from __future__ import annotations
@@ -61,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.journal import Journal
     from .machine.progress import progress_bars
     from .report import comparison_report as report
+    from .report.study_arrays import write_comparison_arrays
     from .studies.together import Hands, LeftToOthers
 
     candidates = candidates_of(designs, list(swept.values()))
@@ -87,12 +88,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
             return
     report.write_comparison(folder / "comparison.csv", found)
     pictures = report.write_comparison_plots(folder, found)
+    write_comparison_arrays(folder / "results.nc", found)
     content = report.comparison_to_json(found) | {"identity": identity}
     write_json(target, content)
     print_json(options, content)
     if not options.quiet:
         report.print_comparison(found)
-        say(options, f"{folder}: comparison.json, comparison.csv, {', '.join(pictures)}")
+        say(options, f"{folder}: comparison.json, comparison.csv, results.nc, {', '.join(pictures)}")
 
 
 def _real(path: str) -> Path:

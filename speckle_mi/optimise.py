@@ -3,7 +3,7 @@
     python -m speckle_mi.optimise SCENE --free laser_angle=20:50,detector_distance=40:90 --goal G.toml --out DIR
 
 G.toml says which figures (as `compare` names them) are to be small or large, and has a table for each limit. An
-interrupted run goes on where it was. Results: optimum.json, trials.csv, optimum.png.
+interrupted run goes on where it was. Results: optimum.json, trials.csv, results.nc, optimum.png.
 """
 
 from __future__ import annotations
@@ -49,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.journal import Journal
     from .machine.progress import progress_bars
     from .report import optimisation_report as report
+    from .report.study_arrays import write_optimum_arrays
     from .scene.load import split_defaults
     from .studies.design import Design
     from .studies.optimisation import OptimisationStudy
@@ -74,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         bar = progress.add_task("trials", total=options.trials)
         found = study.result(lambda: progress.advance(bar))
     report.write_trials(folder / "trials.csv", found)
+    write_optimum_arrays(folder / "results.nc", found, design)
     report.plot_optimum(folder / "optimum.png", found)
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     content = report.optimum_to_json(found) | asked
@@ -81,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print_json(options, content)
     if not options.quiet:
         report.print_optimum(found)
-        say(options, f"{folder}: optimum.json, trials.csv, optimum.png")
+        say(options, f"{folder}: optimum.json, trials.csv, results.nc, optimum.png")
 
 
 def _parser():

@@ -4,7 +4,7 @@
 
 T.toml has a table for each number that varies: a <default> of the scene, a number of one of its parts
 (lens.radius1), or a part's displacement (lens.x ... lens.rz), each with normal = sd, uniform = half width, triangular =
-half width or bounds = [a, b]. Results: uncertainty.json, samples.csv, budget.png, sobol.png.
+half width or bounds = [a, b]. Results: uncertainty.json, samples.csv, results.nc, budget.png, sobol.png.
 """
 
 from __future__ import annotations
@@ -66,6 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.journal import Journal
     from .machine.progress import progress_bars
     from .report import uncertainty_report as report
+    from .report.study_arrays import write_uncertainty_arrays
     from .studies.together import Hands, LeftToOthers
     from .studies.uncertainty import UncertaintySettings, UncertaintyStudy
     from .studies.widths import ITERATIONS, allowed_widths
@@ -98,8 +99,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         widths = allowed_widths(study, result, lambda: progress.advance(bar))
     folder.mkdir(parents=True, exist_ok=True)
     report.write_samples(folder / "samples.csv", result)
+    write_uncertainty_arrays(folder / "results.nc", result, design)
     pictures = report.write_uncertainty_plots(folder, result)
-    written = ["samples.csv", *pictures]
+    written = ["samples.csv", "results.nc", *pictures]
     if widths is not None:
         report.write_allowed(folder / "allowed.toml", widths)
         written.append("allowed.toml")

@@ -83,6 +83,36 @@ def test_geometry_s_figures(mitsuba):
     assert clearance([assembly]) == pytest.approx(math.hypot(laser[0] + half[0], 60 - laser[2]) - 0.12, abs=1e-6)
 
 
+def test_parts_of_a_study_make_the_whole_and_workers_find_the_same(mitsuba, tmp_path):
+    from speckle_mi.experiments.execution import Shard, executor_of
+    from speckle_mi.machine.journal import Journal
+    from speckle_mi.studies.comparison import ComparisonStudy, Swept, candidates_of
+    from speckle_mi.studies.design import Design
+    from speckle_mi.studies.together import ALONE, Hands, LeftToOthers
+
+    design = Design.of(THREE[LASER], [("width", "32"), ("height", "24"), ("pixel_pitch", "0.1")])
+    swept = [Swept.parse("laser_angle", "25:35:3")]
+
+    def study(hands):
+        return ComparisonStudy(candidates_of({"one": design}, swept), None, 3, swept=swept, hands=hands)
+
+    def figures(found):
+        return [(name, one.value, one.interval, one.theory) for compared in found.compared
+                for name, one in compared.figures.items() if name != "seconds"]  # fmt: skip
+
+    wanted = repr(figures(study(ALONE).result()))
+    for number, is_last in ((2, False), (1, True)):
+        shard = Shard(number, 2)
+        with Journal(tmp_path, shard.journal) as done:
+            if is_last:
+                assert repr(figures(study(Hands(None, done, shard)).result())) == wanted
+            else:
+                with pytest.raises(LeftToOthers, match="2 of 3 variants are others' to do"):
+                    study(Hands(None, done, shard)).result()
+    with executor_of("local:1") as executor:
+        assert repr(figures(study(Hands(executor)).result())) == wanted
+
+
 REQUIREMENT = """
 ["crosstalk.z"]
 at_most = 0.1
@@ -108,6 +138,19 @@ def test_a_design_sweep_is_a_table_a_curve_and_a_ranking(tmp_path):
     found = json.loads((tmp_path / "out" / "comparison.json").read_text())
     assert found["ranking"][0] == "tilted_laser laser_angle 25" and found["candidates"][0]["verdict"] == "meets"
     assert (tmp_path / "out" / "comparison.png").stat().st_size > 10_000
+    import xarray
+
+    with xarray.open_dataset(tmp_path / "out" / "results.nc") as data:
+        point = data.sel(scene="tilted_laser", laser_angle=30.0)
+        assert float(point["expected"].sel(figure="z.x")) == pytest.approx(float(rows[1]["z.x theory"]))
+        assert float(point["rank"]) == int(rows[1]["rank"])
+        along = point["theory"].sel(detector="detector", axis="x", motion="ry")
+        assert float(along) == pytest.approx(float(rows[1]["ry.x theory"]))
+        assert float(point["measured"].mean("surface").sel(axis="x", motion="ry")[0]) == pytest.approx(
+            float(rows[1]["ry.x"]), rel=1e-9
+        )
+        assert str(data["sensitivity_unit"].sel(motion="rx").values) == "mm/deg"
+        assert data.attrs["scene_text"] == (SCENES / "tilted_laser.xml").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(

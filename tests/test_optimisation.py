@@ -96,6 +96,13 @@ def test_every_trial_is_kept_and_an_interrupted_run_goes_on(tmp_path):
     with open(out / "trials.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == first["trials"] == 24 and sum(int(row["best"]) for row in rows) == len(first["best"])
+    import xarray
+
+    with xarray.open_dataset(out / "results.nc") as data:
+        angles = data["value"].sel(parameter="laser_angle").values
+        np.testing.assert_allclose(angles, [float(row["laser_angle"]) for row in rows])
+        rotation = data["result"].sel(figure="rz.y").values
+        np.testing.assert_allclose(rotation, [float(row["rz.y"]) for row in rows])
     # As if it had been stopped half-way: the second half of what it had found is not there.
     journal = out / "jobs" / "jobs.jsonl"
     lines = journal.read_text().splitlines(keepends=True)
@@ -110,7 +117,6 @@ def test_every_trial_is_kept_and_an_interrupted_run_goes_on(tmp_path):
 
 
 def test_optuna_proposes_trials_within_the_bounds(mitsuba):
-    pytest.importorskip("optuna")
     from speckle_mi.studies.design import Design
     from speckle_mi.studies.goals import free_numbers, goals_of
     from speckle_mi.studies.optimisation import OptimisationStudy

@@ -213,6 +213,19 @@ def test_parts_of_the_uncertainty_stand_apart_in_the_results(folder):
     with open(folder / "out" / "samples.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == found["samples"] and {row["block"] for row in rows} >= {"A", "B", "laser_angle"}
+    import xarray
+
+    with xarray.open_dataset(folder / "out" / "results.nc") as data:
+        place = {"detector": "detector", "motion": "z", "axis": "u"}
+        told = found["sensitivity"]["z"]["u"]
+        for name in ("standard_uncertainty", "nominal"):
+            assert float(data[name].sel(place)) == pytest.approx(told[name])
+        share = data["total"].sel(place).sel(factor="wavefront_radius")
+        assert float(share) == pytest.approx(told["total"]["wavefront_radius"])
+        of_rows = data["theory"].sel(place).values
+        np.testing.assert_allclose(of_rows, [float(row["theory z.u"]) for row in rows])
+        assert [str(one) for one in data["parameter"].values] == list(found["tolerances"])
+        assert data["standard_uncertainty"].attrs["units"].startswith("mm/mm")
     assert {path.name for path in (folder / "out").glob("*.png")} == {"budget.png", "sobol.png"}
 
 

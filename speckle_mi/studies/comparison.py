@@ -112,11 +112,13 @@ class Conclusion:
 
 @dataclass(frozen=True)
 class DesignComparison:
-    """compared: in the order that they were given in; conclusions: of every use that all tell something of."""
+    """compared: in the order that they were given in; conclusions: of every use that all tell something of;
+    evaluations: what was found of each."""
 
     requirements: Requirements
     compared: list[Compared]
     conclusions: list[Conclusion]
+    evaluations: list[Evaluation]
     swept: tuple[Swept, ...]
     detectors: list[str]
 
@@ -186,7 +188,8 @@ class ComparisonStudy:
             raise InputError(f"none of {len(jobs)} assemblies can be, the first: {evaluations[0].failed}")
         figures = [self._figures(one) for one in evaluations]
         return DesignComparison(
-            self.requirements, self._ranked(evaluations, figures), _conclusions(figures), self._swept, self.detectors
+            self.requirements, self._ranked(evaluations, figures), _conclusions(figures), evaluations, self._swept,
+            self.detectors,
         )
 
     def _designs(self) -> Iterator[tuple[str, Design]]:
