@@ -28,12 +28,15 @@ if TYPE_CHECKING:
 SMALLEST_RANGE = 1e-9
 """Least range of a sweep [mm or deg]: places hold fewer digits than a smaller one needs."""
 
+STAGES = ("start-up", "frames", "pictures")
+"""What the seconds of a sweep are counted for."""
+
 MAX_FRAMES = 1_000_000
 """Most frames of a sweep."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    start = time.perf_counter()
+    marks = [time.perf_counter()]
     options = _parser().parse_args(arguments)
     # Not at the top: a command answers interrupts before it imports what takes time.
     from .experiments.execution import Shard, executor_of, require_scheduler
@@ -74,6 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     results = {name: SweepResult() for name in assemblies}
     with executor_of(options.scheduler, frames_at_a_time(simulations)) as executor:
         _claim(folder, identity, options)
+        marks.append(time.perf_counter())
         is_repeated = (folder / "summary.json").exists()
 
         def write_table() -> None:
@@ -97,13 +101,17 @@ def main(arguments: Sequence[str] | None = None) -> None:
         others = f"{left} of {frame_count(settings)} frames are others' to do"
         say(options, f"{folder}: part {options.shard} is done, {others}")
         return
+    marks.append(time.perf_counter())
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     found = {name: report.summarise(assembly, settings, results[name]) for name, assembly in assemblies.items()}
     for name, summary in found.items():
         part = name if len(found) > 1 else None
         report.write_plots(folder, assemblies[name], settings, results[name], summary, part)
-    seconds = time.perf_counter() - start
-    summaries = {name: summary | asked | {"seconds_total": seconds} for name, summary in found.items()}
+    marks.append(time.perf_counter())
+    seconds = marks[-1] - marks[0]
+    stages = {name: end - begin for name, begin, end in zip(STAGES, marks[:-1], marks[1:], strict=True)}
+    asked |= {"seconds_by_stage": stages, "seconds_total": seconds}
+    summaries = {name: summary | asked for name, summary in found.items()}
     report.write_summary(folder / "summary.json", summaries)
     line = shlex.join(["python", "-m", "speckle_mi.sweep", *(arguments or ())])
     text = Path(options.scene).read_text(encoding="utf-8", errors="replace")

@@ -19,8 +19,8 @@ import time
 from pathlib import Path
 
 SCENE = Path(__file__).resolve().parent.parent / "scenes" / "tilted_laser.xml"
-SWEEP = ["--seeds", "3", "--steps", "4", "-D", "width=96", "-D", "height=96", "-D", "beam_radius=0.3", "--quiet"]
-"""75 frames of 96 x 96 pixels."""
+SWEEP = ["--steps", "4", "-D", "width=96", "-D", "height=96", "-D", "beam_radius=0.3", "--quiet"]
+"""25 frames a surface of 96 x 96 pixels."""
 
 IN_FLIGHT = 16
 """Frames that may be made or written when a kill comes: two a thread, eight that wait to be written."""
@@ -47,6 +47,7 @@ def fragments(out: Path) -> list[str]:
 
 def killed_and_resumed(folder: Path, kills: int, seed: int = 0, *more: str) -> list[str]:
     """What is wrong after that many kills at random instants of a sweep, and of every one that goes on from it."""
+    more = ("--seeds", str(max(3, kills)), *more)
     draw, wrong = random.Random(seed), []
     began = time.monotonic()
     if started(folder / "whole", *more).wait():
@@ -55,8 +56,12 @@ def killed_and_resumed(folder: Path, kills: int, seed: int = 0, *more: str) -> l
     out, before = folder / "killed", 0
     for number in range(kills):
         process = started(out, *more)
-        # Some before anything is done, most while frames are made; where it is nearly done it begins anew.
-        time.sleep(draw.uniform(0.2, 1.0) * seconds / 2)
+        if number % 4:  # three of four while frames are made, the others anywhere from the start on
+            while process.poll() is None and finished(out) <= before:
+                time.sleep(0.002)
+            time.sleep(draw.uniform(0.0, 0.7) * seconds / kills)
+        else:
+            time.sleep(draw.uniform(0.0, 0.3) * seconds)
         process.send_signal(signal.SIGKILL)
         process.wait()
         now = finished(out)

@@ -73,6 +73,9 @@ def test_quick_benchmark_reports_ours_beside_the_peers(mitsuba, tmp_path, capsys
     assert {"direct kernel", "correlation of a frame", "EXR writing", "start-up and one frame, warm"} <= set(
         content["pieces"]
     )
+    budget = {name for name in content["pieces"] if name.startswith(("frame: ", "sweep: "))}
+    assert {"frame: shift", "sweep: whole", "sweep: frames", "sweep: pictures"} <= budget
+    assert all(0 <= content["pieces"][name]["lost"] < 1 for name in ("engine: this process", "engine: 2 workers"))
     one_frame = content["pieces"]["sensitivities, free space"]
     assert 0 < one_frame["median"] and f"{one_frame['sweep_takes_times']:.0f} times" in one_frame["what"]
     assert set(content["costs"]) == set(COSTS) == {column.name for column in fields(Costs)}

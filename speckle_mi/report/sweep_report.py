@@ -32,7 +32,7 @@ _CURVE_POINTS = 101
 DRAWN = ("fits", "curves")
 """What a summary has for tables and drawings only."""
 
-SHARED = ("scene", "defaults", "identity", "system", "seconds_total")
+SHARED = ("scene", "defaults", "identity", "system", "seconds_total", "seconds_by_stage")
 """What a summary of several detectors says once besides: it is the same for all."""
 
 

@@ -19,6 +19,7 @@ from ...scene.shipped import folder as folder_of_scenes
 from .commands import command_times
 from .one_frame import SURFACES, against_sweep
 from .specimen import SCENE, Specimen
+from .studies import engine_overhead, frame_budget, many_frames, sweep_budget
 
 PAIRS_SOURCES, QUICK_PAIRS_SOURCES = 4096, 512
 """Scatterers by which the pairs that the kernel sums in a second are counted."""
@@ -31,7 +32,7 @@ MOVED = 0.012
 
 
 def pieces(specimen: Specimen, quick: bool) -> dict[str, dict]:
-    """Name -> {seconds, what}: kernel, correlation, writing, scatterers, warm start."""
+    """Name -> {seconds, what}: kernel, correlation, writing, scatterers, warm start, studies."""
     rest, moved = (simulate(specimen.assembly, Pose(x=x)) for x in (0.0, MOVED))
     found = {"direct kernel": _kernel(specimen, QUICK_PAIRS_SOURCES if quick else PAIRS_SOURCES)}
     correlator = Correlator(rest.intensity)
@@ -43,6 +44,11 @@ def pieces(specimen: Specimen, quick: bool) -> dict[str, dict]:
         path = folder / "frame.exr"
         found["EXR writing"] = asdict(timed(lambda: write_field(path, rest))) | {"what": f"{size}, three channels"}
         found |= command_times(folder, SCENE, specimen.grid.shape, quick)
+        found |= frame_budget(specimen, folder)
+        found |= sweep_budget(folder, folder / "tilted_laser.xml", quick)
+        found |= engine_overhead(folder, quick)
+        if not quick:
+            found |= many_frames(folder, folder / "tilted_laser.xml")
     for count in QUICK_PLACED if quick else PLACED:
         target = specimen.denser(count).target
         timing = timed(partial(illuminated_scatterers, target.surface, specimen.assembly.beam, target.frame))
