@@ -159,7 +159,7 @@ def cluster_here(workers: int) -> Iterator[Cluster]:
     # Each frame takes less memory than the machine has; workers are not to be stopped for what they keep.
     with dask.config.set({"distributed.worker.daemon": True, "distributed.admin.low-level-log-length": 100}):
         with LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0,
+            n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", memory_limit=0,
             silence_logs=logging.CRITICAL,
         ) as local:  # fmt: skip
             client = Client(local, set_as_default=False)
