@@ -26,7 +26,7 @@ LEVELS = (
 )
 """Rooms in the order in which data flows; a room imports from those of earlier levels and from itself."""
 COMMANDS = {"render", "sweep", "sensitivity", "pose", "correlate", "converge", "stability", "benchmark", "sysinfo", "scenes",
-            "preview", "view", "uncertainty", "compare", "optimise", "sequence", "__main__"}  # fmt: skip
+            "preview", "view", "uncertainty", "compare", "optimise", "sequence", "document", "__main__"}  # fmt: skip
 THIN = 230  # Lines of a plugin: documentation, parameters and registration, no physics.
 LONGEST = 400  # Lines of a file that can still be seen whole.
 

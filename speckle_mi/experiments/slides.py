@@ -96,7 +96,7 @@ class Slides:
         side = int(np.clip(np.sqrt(_BYTES * self.share / (planes * pictures)), _SMALLEST, _LARGEST))
         rows, columns = measured.shape
         self._side = min(side, rows), min(side, columns)
-        self.corner = _around_light(measured, self._side)
+        self.corner = around_light(measured, self._side)
         self.reduced = max(1, -(-max(rows, columns) // max(int(_OVERVIEW * np.sqrt(self.share)), 64)))
         self.overview = root_levels(block_means(measured, self.reduced), self._white[0])
 
@@ -114,7 +114,7 @@ class Slides:
         return Slide(displacement, light, phase.astype(np.uint8), amplitude)
 
 
-def _around_light(measured: np.ndarray, side: tuple[int, int]) -> tuple[int, int]:
+def around_light(measured: np.ndarray, side: tuple[int, int]) -> tuple[int, int]:
     """Corner of the window around the light's centre, within the image."""
     weights = np.nan_to_num(measured)
     total = weights.sum()
