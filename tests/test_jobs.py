@@ -71,6 +71,12 @@ def test_what_a_journal_holds_is_not_done_again(tmp_path):
         assert len(done) == 9
 
 
+def test_where_the_first_job_is_refused_no_folder_is_left(tmp_path):
+    with pytest.raises(InputError), Journal(tmp_path / "results" / "jobs"):
+        raise InputError("no such number")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("cut", [1, 7, 40])
 def test_a_line_that_a_kill_left_half_written_is_cut_off_and_its_job_done_again(tmp_path, cut):
     with Journal(tmp_path) as done:

@@ -33,6 +33,7 @@ class Journal:
         """folder: made when the first block is entered; name: of the file that this process adds to."""
         self._folder, self._path = Path(folder), Path(folder) / f"{name}{SUFFIX}"
         self._file: int | None = None
+        self._made: list[Path] = []
         self._lock = threading.Lock()
         # Where each result stands, as (file, first byte, bytes): results may be more than memory holds.
         self._places: dict[str, tuple[Path, int, int]] = {}
@@ -41,13 +42,15 @@ class Journal:
 
     def __enter__(self) -> Journal:
         """Raises InputError where another process adds to the same file, OSError where it cannot be written."""
+        self._made = [folder for folder in (self._folder, *self._folder.parents) if not folder.exists()]
         self._folder.mkdir(parents=True, exist_ok=True)
         self._file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND, 0o666)
         try:
             _claim(self._file, self._path)
             _cut_fragment(self._file)
         except BaseException:
-            self.__exit__()
+            os.close(self._file)  # it may be another process's, which has no result yet
+            self._file = None
             raise
         self._places.clear()  # a last line without its end has been cut off
         self._read_to.clear()
@@ -57,8 +60,19 @@ class Journal:
     def __exit__(self, *_: object) -> None:
         with self._lock:
             if self._file is not None:
+                if not os.fstat(self._file).st_size:
+                    self._leave_nothing()
                 os.close(self._file)
             self._file = None
+
+    def _leave_nothing(self) -> None:
+        """Without a result, as where the first job was refused, nothing is left of file and folders."""
+        try:
+            self._path.unlink()
+            for folder in self._made:
+                folder.rmdir()
+        except OSError:  # somebody else's by now
+            pass
 
     def __contains__(self, key: str) -> bool:
         return key in self._places
