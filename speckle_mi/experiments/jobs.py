@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from itertools import islice
 from typing import Protocol
 
+from ..machine.backend import kernels_beside
 from ..machine.cores import keep_to_one_core, products_on_one_thread
 from ..machine.fingerprint import fingerprint
 from ..machine.journal import Journal
@@ -88,7 +89,10 @@ class InProcess:
                 yield job, self.workplace.result(job)
             return
         jobs, ahead = iter(jobs), deque()
-        with products_on_one_thread(), ThreadPoolExecutor(self._threads, "jobs", keep_to_one_core) as pool:
+        with (
+            products_on_one_thread(), kernels_beside(self._threads),
+            ThreadPoolExecutor(self._threads, "jobs", keep_to_one_core) as pool,
+        ):  # fmt: skip
             try:
                 while True:
                     for job in islice(jobs, AHEAD * self._threads - len(ahead)):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import ModuleType
 
 import mitsuba as mi
@@ -49,6 +51,23 @@ def arrays() -> ModuleType:
 
     variant = mi.variant() or DEFAULT_VARIANT
     return drjit.cuda if variant.startswith("cuda") else drjit.llvm
+
+
+@contextmanager
+def kernels_beside(threads: int) -> Iterator[None]:
+    """Inside, kernels begin as many threads fewer as there are ``threads`` that wait for them, and work on them.
+
+    Threads of both kinds that outnumber the cores wait for one another: kernels beside two threads on two cores took a
+    tenth more of the processors' time.
+    """
+    import drjit as dr
+
+    before = dr.thread_count()
+    dr.set_thread_count(max(1, before - threads + 1))
+    try:
+        yield
+    finally:
+        dr.set_thread_count(before)
 
 
 def opaque(value: float):
