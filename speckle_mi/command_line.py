@@ -224,6 +224,13 @@ def require_range(arguments: argparse.Namespace) -> None:
         raise InputError(f"--range {arguments.range:g}: must be a finite number above 0 (mm or deg)")
 
 
+def line_of(name: str, given: Sequence[str] | None) -> str:
+    """The command line that does the same again."""
+    import shlex
+
+    return shlex.join(["python", "-m", f"speckle_mi.{name}", *(given or ())])
+
+
 def print_json(arguments: argparse.Namespace, content: object) -> None:
     """Prints what was found as JSON where the user asked for it; what is not finite is null."""
     if arguments.json:

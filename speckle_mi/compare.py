@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import (
-    add_detector, add_execution, add_force, add_surfaces, command, parser, print_json, require_range, say,
+    add_detector, add_execution, add_force, add_surfaces, command, parser, line_of, print_json, require_range, say,
 )  # fmt: skip
 from .errors import InputError
 
@@ -61,6 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.journal import Journal
     from .machine.progress import progress_bars
     from .report import comparison_report as report
+    from .report.html_study import write_study
     from .report.study_arrays import write_comparison_arrays
     from .studies.together import Hands, LeftToOthers
 
@@ -91,10 +92,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_comparison_arrays(folder / "results.nc", found)
     content = report.comparison_to_json(found) | {"identity": identity}
     write_json(target, content)
+    plots = [folder / name for name in pictures]
+    write_study(folder / "report.html", "Assemblies compared", content, line_of("compare", arguments), plots)
     print_json(options, content)
     if not options.quiet:
         report.print_comparison(found)
-        say(options, f"{folder}: comparison.json, comparison.csv, results.nc, {', '.join(pictures)}")
+        say(options, f"{folder}: report.html, comparison.json, comparison.csv, results.nc, {', '.join(pictures)}")
 
 
 def _real(path: str) -> Path:

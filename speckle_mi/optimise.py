@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import (
-    SURFACES, add_detector, add_force, command, print_json, require_range, say, scene_parser,
+    SURFACES, add_detector, add_force, command, line_of, print_json, require_range, say, scene_parser,
 )  # fmt: skip
 from .errors import InputError
 
@@ -49,6 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.journal import Journal
     from .machine.progress import progress_bars
     from .report import optimisation_report as report
+    from .report.html_study import write_study
     from .report.study_arrays import write_optimum_arrays
     from .scene.load import split_defaults
     from .studies.design import Design
@@ -80,10 +81,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked = {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     content = report.optimum_to_json(found) | asked
     write_json(target, content)
+    write_study(folder / "report.html", f"{Path(options.scene).name}: best designs", content,
+                line_of("optimise", arguments), [folder / "optimum.png"])  # fmt: skip
     print_json(options, content)
     if not options.quiet:
         report.print_optimum(found)
-        say(options, f"{folder}: optimum.json, trials.csv, results.nc, optimum.png")
+        say(options, f"{folder}: report.html, optimum.json, trials.csv, results.nc, optimum.png")
 
 
 def _parser():

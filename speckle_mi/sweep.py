@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from .command_line import (
     SURFACES, add_detector, add_execution, add_force, add_images, add_motions, add_precision, add_surfaces, command,
-    print_json, say, scene_parser, surfaces_of,
+    line_of, print_json, say, scene_parser, surfaces_of,
 )  # fmt: skip
 from .errors import InputError
 from .machine.interrupt import keeping
@@ -113,7 +112,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     asked |= {"seconds_by_stage": stages, "seconds_total": seconds}
     summaries = {name: summary | asked for name, summary in found.items()}
     report.write_summary(folder / "summary.json", summaries)
-    line = shlex.join(["python", "-m", "speckle_mi.sweep", *(arguments or ())])
+    line = line_of("sweep", arguments)
     text = Path(options.scene).read_text(encoding="utf-8", errors="replace")
     made = SweepReport(assemblies, settings, results, summaries, layout_of(assemblies), line, text)
     write_report(folder / "report.html", made)

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import (
-    SURFACES, add_detector, add_execution, add_force, command, print_json, require_range, say, scene_parser,
+    SURFACES, add_detector, add_execution, add_force, command, line_of, print_json, require_range, say, scene_parser,
 )  # fmt: skip
 from .errors import InputError
 
@@ -66,6 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     from .machine.journal import Journal
     from .machine.progress import progress_bars
     from .report import uncertainty_report as report
+    from .report.html_study import write_study
     from .report.study_arrays import write_uncertainty_arrays
     from .studies.together import Hands, LeftToOthers
     from .studies.uncertainty import UncertaintySettings, UncertaintyStudy
@@ -108,10 +109,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     found = report.uncertainty_to_json(result, widths)
     content = found | {"scene": options.scene, "defaults": options.defaults, "identity": identity}
     write_json(target, content)
+    plots = [folder / name for name in pictures]
+    write_study(folder / "report.html", f"{Path(options.scene).name}: uncertainty", content,
+                line_of("uncertainty", arguments), plots)  # fmt: skip
     print_json(options, content)
     if not options.quiet:
         report.print_uncertainty(result, widths)
-        say(options, f"{folder}: uncertainty.json, {', '.join(written)}")
+        say(options, f"{folder}: report.html, uncertainty.json, {', '.join(written)}")
 
 
 def _parser():

@@ -31,12 +31,14 @@ class Section:
 
 @dataclass(frozen=True)
 class Cell:
-    """A table's cell: words, the number behind them in full, how strongly it is shaded, 0 to 1, and an interval."""
+    """A table's cell: words, the number behind them in full, how strongly it is shaded, 0 to 1, an interval; bar: a
+    part of the cell's width that is filled."""
 
     words: str
     value: float | None = None
     shade: float | None = None
     interval: tuple[float, float] | None = None
+    bar: float | None = None
 
 
 def page(
@@ -104,7 +106,8 @@ def _cell(cell: Cell | str) -> str:
     held = {"value": cell.value} | dict(zip(("low", "high"), cell.interval or (), strict=False))
     known = {name: float(one) for name, one in held.items() if one is not None and np.isfinite(one)}
     number = "".join(f' data-{name}="{one!r}"' for name, one in known.items())
-    shade = "" if cell.shade is None else f' class="heat" style="--h:{min(max(cell.shade, 0), 1):.3f}"'
+    kind, part = ("bar", cell.bar) if cell.bar is not None else ("heat", cell.shade)
+    shade = "" if part is None else f' class="{kind}" style="--h:{min(max(part, 0), 1):.3f}"'
     return f"<td{number}{shade}>{text(cell.words)}</td>"
 
 

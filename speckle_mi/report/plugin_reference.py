@@ -36,8 +36,8 @@ def plugin_reference() -> str:
         "The plugins' own documentation, put together by `python -m speckle_mi.document --plugins plugins/README.md`. "
         "Lengths are millimetres, wavelengths nanometres, roughness and correlation length micrometres, angles "
         "degrees. Stock shapes of Mitsuba keep their meaning: a `sphere` with a `dielectric` is a ball lens, a "
-        "`rectangle` or `disk` with a `conductor` a mirror, anything opaque a blocker. *exposed*: `mi.traverse` shows the "
-        "value.",
+        "`rectangle` or `disk` with a `conductor` a mirror, anything opaque a blocker. *exposed*: `mi.traverse` shows "
+        "the value.",
         ", ".join(f"[`{name}`](#{name})" for kind in found.values() for name, *_ in kind),
     ]
     for kind, plugins in found.items():
