@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-NAMES = ("laser", "rough_target", "aperture", "lens", "mirror", "detector", "coherent")
+NAMES = ("laser", "rough_target", "aperture", "lens", "mirror", "beam_splitter", "detector", "coherent")
 
 
 def register() -> None:

@@ -140,12 +140,12 @@ def _section(element: Element, axes: np.ndarray, view: int) -> tuple[Line, ...]:
         angle = np.linspace(0, 2 * np.pi, 4 * _ALONG_PROFILE)
         circle = np.outer(np.cos(angle), axes[:, 0]) + np.outer(np.sin(angle), axes[:, 1 + view])
         return (Line(centre + radius * circle, closed=element.kind == "glass"),)
-    if element.kind == "glass" and not element.edged:
+    if element.kind == "glass" and element.media and not element.edged:
         return (_hull(_corners(element.body), axes, view),)
     profiles = [_profile(face, sight) for face in element.faces]
     if element.kind == "opening":
         return _screen(element, profiles[0])
-    if element.kind == "mirror":
+    if element.kind == "mirror" or not element.media:
         return tuple(Line(profile) for profile in profiles)
     pairs = zip(pairwise(profiles), pairwise(element.sides), strict=True)
     return tuple(_between(*faces) for faces, sides in pairs if set.intersection(*map(set, sides)) - {OUTSIDE})

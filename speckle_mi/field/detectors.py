@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from ..geometry.pose import Pose
 from ..plan.cost import Cost
-from ..plan.tracer import Tracer
 from ..scene.assembly import Assembly
+from ..scene.tracer import Tracer
 from .frame import FrameResult
 from .simulation import Simulation
 
@@ -35,7 +35,7 @@ class Simulations:
                 first, detector=assembly.detector, sub_pixels=assembly.sub_pixels, camera=assembly.camera
             ):
                 raise ValueError(f"assembly of {name!r}: differs in more than its detector from the first one")
-        tracer = Tracer(first)
+        tracer = Tracer(first.elements, first.target)
         self.by_detector = {name: self.of_one(assembly, tracer) for name, assembly in assemblies.items()}
 
     @property

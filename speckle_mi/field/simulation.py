@@ -19,12 +19,12 @@ from ..plan.cost import Cost, cost_of
 from ..plan.plan import Plan, make_plan
 from ..plan.setup import Setup
 from ..plan.stage import NOTHING_SUMMED, PIXELS, Stage
-from ..plan.tracer import Tracer
 from ..plan.visibility import pixels_in_view, visible_scatterers
 from ..plan.way import Channel
 from ..propagation.costs import costs_of
 from ..scattering.rough_surface import Scatterers
 from ..scene.assembly import Assembly, Options
+from ..scene.tracer import Tracer
 from .derivatives import DerivativeFields, derivative_fields
 from .exposure import CameraFrame, picture_of
 from .frame import FrameResult, LightOnDetector, header_of
@@ -71,7 +71,7 @@ class Simulation:
         """tracer: of an assembly with the same target and elements, where there is one."""
         self.assembly = assembly
         self._costs = costs_of(ensure_variant())
-        self._tracer = Tracer(assembly) if tracer is None else tracer
+        self._tracer = Tracer(assembly.elements, assembly.target) if tracer is None else tracer
         self._plans: dict[tuple[Pose, Options], Plan] = {}
         self._lobe: Lobe | None = None
         self._lock = threading.Lock()

@@ -1,9 +1,12 @@
-"""The edge of a lens: what stands around its glass between the rims of its faces.
+"""The edge of a lens or a plate: what stands around its glass between the rims of its faces.
 
 Between two rims the glass ends at a cylinder of the larger one's radius, and flat rings lead from there to the smaller.
+Around a rectangular plate it is four planes.
 """
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 
@@ -38,6 +41,10 @@ def edge_crossing(faces: tuple[Surface, ...], origin: np.ndarray, direction: np.
     p, d = frame.to_local(origin).T, (direction @ frame.axes).T
     found = np.full(len(origin), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
+        if not faces[0].outline.is_round:
+            for length in _with_sides(p, d, faces, room):
+                found = np.where(length > room, np.fmin(found, length), found)
+            return found
         if not all(face.has_flat_rim for face in faces):
             for pair in zip(faces, faces[1:], strict=False):
                 for length in _between(p, d, pair, frame, room):
@@ -66,6 +73,19 @@ def _between(p: np.ndarray, d: np.ndarray, pair, frame: Frame, room: float) -> l
         x, y, z = p + length * d
         one, two = (rim_height(face, frame, x, y) for face in pair)
         found.append(np.where((z > np.minimum(one, two) + room) & (z < np.maximum(one, two) - room), length, np.inf))
+    return found
+
+
+def _with_sides(p: np.ndarray, d: np.ndarray, faces: tuple[Surface, ...], room: float) -> list[np.ndarray]:
+    """Crossings with the four sides between the first and the last of plane faces of one rectangular rim."""
+    half = faces[0].outline.half_size
+    height = float((faces[-1].frame.origin - faces[0].frame.origin) @ faces[0].frame.axes[:, 2])
+    low, high = min(0.0, height) + room, max(0.0, height) - room
+    found = []
+    for axis, side in product((0, 1), (-1, 1)):
+        length = (side * half[axis] - p[axis]) / d[axis]
+        across, z = p[1 - axis] + length * d[1 - axis], p[2] + length * d[2]
+        found.append(np.where((np.abs(across) <= half[1 - axis]) & (z > low) & (z < high), length, np.inf))
     return found
 
 

@@ -24,7 +24,8 @@ class Interaction:
     root: which crossing of the surface is meant, see ``Surface.intersect``; amplitude: factor of the light's amplitude
     here, the square root of the reflectance or transmittance; near: (3,) where on the surface its light is, in its own
     frame [mm], None for its middle; slack: how far [mm] it may lie behind the one before, as where a stop cuts through
-    the curved face of a lens. Build with ``Interaction.refract``, ``.reflect``, ``.through``.
+    the curved face of a lens; coated: whether it splits the light, so that reflection in a glass is meant. Build with
+    ``Interaction.refract``, ``.reflect``, ``.through``.
     """
 
     surface: Surface
@@ -35,6 +36,7 @@ class Interaction:
     amplitude: float = 1.0
     near: np.ndarray | None = None
     slack: float = 0.0
+    coated: bool = False
 
     def __post_init__(self) -> None:
         if self.action not in ("refract", "reflect", "pass"):
@@ -59,13 +61,13 @@ class Interaction:
 
     @property
     def bends(self) -> bool:
-        """Whether light goes on in another direction than it came."""
-        return self.action != "pass"
+        """Whether light may go on in another direction than it came."""
+        return self.action == "reflect" or self.index_before != self.index_after
 
     @property
     def reflects_inside(self) -> bool:
-        """Whether light is reflected within a glass, as at total reflection."""
-        return self.action == "reflect" and self.index_before != 1.0
+        """Whether light is reflected within a glass where no coating is meant to, as at total reflection."""
+        return self.action == "reflect" and self.index_before != 1.0 and not self.coated
 
     @property
     def place(self) -> np.ndarray:

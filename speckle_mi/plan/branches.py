@@ -11,9 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..optics.aim import aim, rays_between
+from ..optics.placed import with_places
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import trace
-from .places import points_on, with_places
+from .places import points_on
 from .search import SAME_RAY
 from .setup import Setup
 from .way import Channel

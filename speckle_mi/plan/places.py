@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from ..geometry.frames import Frame
 from ..geometry.plane import PlaneGrid
 from ..geometry.rotation import vectors_across
-from ..optics.sequence import Interaction, Sequence
 from ..optics.surface import Surface
-from ..optics.trace import trace
 
 FINE = (0.0, 0.2, 0.4, 0.6, 0.8, 1.0), 12
 """Rings on an opening, relative to its rim, and places a ring, where many are needed."""
@@ -98,21 +94,3 @@ def points_on(face: Surface) -> np.ndarray:
 def axes_along(axis: np.ndarray) -> np.ndarray:
     """(3, 3) axes with z along a unit vector."""
     return np.column_stack([*vectors_across(axis), axis])
-
-
-def with_places(
-    interactions: tuple[Interaction, ...], starts: np.ndarray, launches: np.ndarray
-) -> tuple[Interaction, ...]:
-    """Interactions that know where on their surfaces rays of their own meet them."""
-    if not interactions:
-        return ()
-    points = trace(Sequence(interactions), starts, launches).points
-    placed = []
-    for interaction, hits in zip(interactions, points, strict=True):
-        local = interaction.surface.frame.to_local(hits[np.all(np.isfinite(hits), axis=1)])
-        if len(local):
-            middle = local.mean(axis=0)
-            near = local[np.argmin(np.linalg.norm(local - middle, axis=1))]
-            interaction = replace(interaction, near=near)
-        placed.append(interaction)
-    return tuple(placed)

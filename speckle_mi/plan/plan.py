@@ -209,7 +209,7 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
     route, interactions = bare.route, bare.interactions
     openings, decisions = _openings(setup, bare)
     stages = [Stage(WAY), *_unfolded(route)]
-    traced = [name for name, i in zip(route.names, interactions) if i.action != "pass"]
+    traced = [name for name, i in zip(route.names, interactions) if i.bends]
     if traced:
         stages.append(Stage(TRACED, tuple(dict.fromkeys(traced))))
     stages += decisions

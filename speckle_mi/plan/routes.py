@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..optics.sequence import Interaction
-from .meeting import Meetings, Place, index_in
+from ..scene.following import Start, Step
+from ..scene.meeting import Meetings, Place, index_in
 from .places import hole_places
-from .search import Chain, Search, Start, Step
+from .search import Chain, Search
 from .setup import Setup
 
 MOST_ROUTES = 64
@@ -68,7 +69,7 @@ def find_routes(setup: Setup, spots: np.ndarray) -> Arrivals:
     spots: (m, 3) places that stand for all that scatters, the middle first. Where there is no route, those that pass
     the detector's area by are given: diffraction at the rims on them may still reach it.
     """
-    paths = _Paths(Meetings(setup), spots, setup.front)
+    paths = _Paths(setup.meetings, spots, setup.front)
     routes = [_route(setup, path) for path in paths.to_detector()]
     routes = sorted(_distinct(routes), key=lambda route: -route.rays)
     if routes:

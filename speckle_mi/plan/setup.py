@@ -12,7 +12,8 @@ from ..geometry.pose import Pose
 from ..propagation.costs import RECORDED, Costs
 from ..scattering.beam_kernel import TRUNCATION
 from ..scene.assembly import Assembly, Spot
-from .tracer import TARGET, Tracer, off_surface
+from ..scene.meeting import Meetings
+from ..scene.tracer import TARGET, Tracer, off_surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,12 @@ class Setup:
     def frame(self) -> Frame:
         """Where the target stands."""
         return self.assembly.target.frame.moved(self.pose)
+
+    @cached_property
+    def meetings(self) -> Meetings:
+        """All that rays can meet."""
+        assembly = self.assembly
+        return Meetings(assembly.elements, assembly.target, self.frame, self.tracer, assembly.detector)
 
     @cached_property
     def spot(self) -> Spot:

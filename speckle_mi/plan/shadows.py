@@ -20,10 +20,10 @@ from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import trace
 from ..propagation.chebyshev import chebyshev_nodes, interpolation_matrix
 from ..propagation.coherent_sum import CERTAINTY
+from ..scene.tracer import NOTHING, TARGET
 from .fresnel import edge_wave, fresnel_distance
 from .places import detector_places
 from .setup import Setup
-from .tracer import NOTHING, TARGET
 from .visibility import shapes_beside, unblocked
 from .way import Channel, Rim
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..geometry.pairs import all_pairs
-from .meeting import AIR, DETECTOR, FACE, HOLE, Meetings
+from ..scene.meeting import AIR, DETECTOR, FACE, HOLE, Meetings
 from .places import on_face, on_pixels
 
 SPREAD = np.array(

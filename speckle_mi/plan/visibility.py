@@ -7,9 +7,9 @@ import numpy as np
 from ..geometry.plane import PlaneGrid
 from ..geometry.rotation import vectors_across
 from ..scattering.rough_surface import Scatterers
+from ..scene.meeting import stands_between
+from ..scene.tracer import TARGET, off_surface
 from .setup import Setup
-from .tracer import TARGET, off_surface
-from .meeting import stands_between
 
 _NOTICEABLE = 1e-3
 """Share of the power above which scatterers that only part of the detector sees are worth a warning."""

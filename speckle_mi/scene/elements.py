@@ -19,14 +19,15 @@ OUTSIDE = -1
 class Element:
     """A shape of the scene.
 
-    name: its id; kind: "opening" (a hole in a screen), "mirror", "glass" or "opaque"; faces: its optical surfaces;
+    name: its id; kind: "opening" (a hole in a screen), "mirror", "glass" (also a coating with nothing behind it: one
+    face with the medium around on either side) or "opaque"; faces: its optical surfaces;
     body: its form as rays meet it; media: refractive indices of what is inside glass, relative to the medium around;
     sides: of each face of glass the two media that it parts, by their numbers, ``OUTSIDE`` for the medium around;
     closed: whether the one face is a whole sphere; edged: whether the faces stand behind one another on one axis, with
     an edge between their rims, as those of a lens; screen_radius: where the screen around an opening ends [mm];
     amplitude: factor of the light's amplitude at each reflection by a mirror or refraction at a face of glass; glasses:
-    what the media are made of, as far as that is known for other wavelengths; note: what of it does not
-    count, in words.
+    what the media are made of, as far as that is known for other wavelengths; reflectances: of every face of glass the
+    part of the intensity that it reflects, none where no face does; note: what of it does not count, in words.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Element:
     screen_radius: float | None = None
     amplitude: float = 1.0
     glasses: tuple[Glass, ...] = ()
+    reflectances: tuple[float, ...] = ()
     note: str = field(default="", compare=False)
 
     @property
@@ -71,15 +73,32 @@ class Element:
         return other if medium == one else one
 
     def interaction(self, face: int, medium: int, root: int = 0) -> Interaction:
-        """What happens to light at a face, coming in one of the media on its sides.
+        """What happens to light at a face, coming in one of the media on its sides; of a coated one, what goes through.
 
         root: which of the two crossings of a closed face is meant, 0 the nearer one along the ray's line.
         """
-        surface, crossing = self.faces[face], ("near", "far")[root] if self.closed else "vertex"
+        surface, crossing = self.faces[face], self._crossing(root)
         if self.kind == "mirror":
             return Interaction.reflect(surface, root=crossing, amplitude=self.amplitude)
         before, after = self.index_of(medium), self.index_of(self.beyond(face, medium))
-        return Interaction.refract(surface, before, after, root=crossing, amplitude=self.amplitude)
+        amplitude = self.amplitude * float(np.sqrt(1 - self.reflectance(face)))
+        return Interaction.refract(surface, before, after, root=crossing, amplitude=amplitude)
+
+    def interactions(self, face: int, medium: int, root: int = 0) -> tuple[Interaction, ...]:
+        """All that light goes on by at a face, as in :meth:`interaction`: a coated one splits it."""
+        through, reflectance = self.interaction(face, medium, root), self.reflectance(face)
+        if reflectance == 0.0:
+            return (through,)
+        index, amplitude = self.index_of(medium), self.amplitude * float(np.sqrt(reflectance))
+        back = Interaction.reflect(self.faces[face], index, self._crossing(root), amplitude)
+        return tuple(replace(one, coated=True) for one in (through, back) if one.amplitude > 0.0)
+
+    def reflectance(self, face: int) -> float:
+        """Part of the intensity that a face of glass reflects: that of its coating."""
+        return self.reflectances[face] if self.reflectances else 0.0
+
+    def _crossing(self, root: int) -> str:
+        return ("near", "far")[root] if self.closed else "vertex"
 
     def is_inside(self, point: np.ndarray, room: float) -> bool:
         """Whether a point (3,) lies inside the glass, by more than ``room``, relative to its size."""

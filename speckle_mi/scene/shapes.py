@@ -85,8 +85,8 @@ def _stock(shape: mi.Shape, target: mi.Shape) -> Element:
     if (material, form) not in _OPTICAL:
         raise SceneError(
             f"{describe_shape(shape)} with {material} cannot be taken into account: "
-            "must be an aperture, a lens, a mirror, a sphere or cube of dielectric, a rectangle, disk or sphere of "
-            "conductor, or opaque (diffuse, plastic, roughconductor)"
+            "must be an aperture, a lens, a mirror, a beam_splitter, a sphere or cube of dielectric, a rectangle, "
+            "disk or sphere of conductor, or opaque (diffuse, plastic, roughconductor)"
         )
     kind, name = _OPTICAL[material, form]
     faces = _FACES[form](shape, to_world)

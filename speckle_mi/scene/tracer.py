@@ -12,8 +12,9 @@ import mitsuba as mi
 import numpy as np
 
 from ..geometry.frames import Frame
-from ..scene.assembly import Assembly
-from ..scene.body import Body
+from .assembly import Target
+from .body import Body
+from .elements import Element
 
 TARGET, NOTHING = -1, -2
 """What a ray meets besides an element: the target, nothing."""
@@ -28,15 +29,15 @@ def off_surface(points: np.ndarray) -> float:
 
 
 class Tracer:
-    """Rays through the elements and the target of one assembly.
+    """Rays through some elements and a target.
 
     The target lies in a scene of its own, in its own frame: rays are turned into it, so that it may stand anywhere.
     """
 
-    def __init__(self, assembly: Assembly) -> None:
-        self._bodies = tuple(element.body for element in assembly.elements)
-        self._opaque = tuple(n for n, element in enumerate(assembly.elements) if element.kind == "opaque")
-        self._target = None if assembly.target.points is not None else assembly.target.body
+    def __init__(self, elements: tuple[Element, ...], target: Target) -> None:
+        self._bodies = tuple(element.body for element in elements)
+        self._opaque = tuple(n for n, element in enumerate(elements) if element.kind == "opaque")
+        self._target = None if target.points is not None else target.body
         self._scenes: dict[tuple[int, ...], tuple[mi.Scene, tuple[mi.Shape, ...]]] = {}
         self._lock = threading.Lock()
 

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..geometry.frames import Frame
 from ..geometry.plane import PlaneGrid
 from ..optics.edge import edge_crossing
 from ..optics.surface import Surface
-from ..scene.elements import OUTSIDE, Element
-from .setup import Setup
-from .tracer import TARGET
+from .assembly import Target
+from .elements import OUTSIDE, Element
+from .tracer import TARGET, Tracer
 
 COINCIDENT = 1e-8
 """Distance [mm] up to which two crossings are one."""
@@ -54,11 +55,16 @@ class Thing:
 
 
 class Meetings:
-    """All that rays can meet in a setup. things: in the order in which they are tried where distances are equal."""
+    """All that rays can meet. things: in the order in which they are tried where distances are equal."""
 
-    def __init__(self, setup: Setup) -> None:
-        self._setup = setup
-        self.elements = setup.assembly.elements
+    def __init__(
+        self, elements: tuple[Element, ...], target: Target, frame: Frame, tracer: Tracer,
+        detector: PlaneGrid | None = None,
+    ) -> None:  # fmt: skip
+        """frame: where the target stands; tracer: of these elements and target; detector: None for light that none
+        stops."""
+        self.elements, self.detector = elements, detector
+        self._target, self._frame, self._tracer = target, frame, tracer
         self.things = [Thing(NOTHING), Thing(DETECTOR), Thing(OPAQUE, TARGET)]
         self._opaque = tuple(n for n, element in enumerate(self.elements) if element.kind == "opaque")
         self.things += [Thing(OPAQUE, number) for number in self._opaque]
@@ -71,10 +77,6 @@ class Meetings:
                 self.things.append(Thing(WALL, number))
         self._index = {thing: place for place, thing in enumerate(self.things)}
         self._partners = _coincident_faces(self.elements)
-
-    @property
-    def detector(self) -> PlaneGrid:
-        return self._setup.assembly.detector
 
     def name_of(self, thing: Thing) -> str:
         """How messages call a thing."""
@@ -125,7 +127,8 @@ class Meetings:
         for number, element in enumerate(self.elements):
             if element.kind == "opening":
                 self._opening(met, origin, direction, number, left, strictly=False)
-        self._detector(met, origin, direction)
+        if self.detector is not None:
+            self._detector(met, origin, direction)
         for number, element in enumerate(self.elements):
             if element.kind in ("mirror", "glass"):
                 for face in range(len(element.faces)):
@@ -135,11 +138,11 @@ class Meetings:
                 distance = edge_crossing(element.faces, origin, direction, COINCIDENT)
                 self._take(met, distance, Thing(WALL, number))
         if self._opaque:
-            numbers, distance = self._setup.tracer.nearest_opaque(origin, direction)
+            numbers, distance = self._tracer.nearest_opaque(origin, direction)
             for number in self._opaque:
                 self._take(met, np.where(numbers == number, distance, np.inf), Thing(OPAQUE, number))
-        if self._setup.assembly.target.points is None:
-            distance = self._setup.tracer.nearest_target(origin, direction, self._setup.frame)
+        if self._target.points is None:
+            distance = self._tracer.nearest_target(origin, direction, self._frame)
             self._take(met, distance, Thing(OPAQUE, TARGET))
 
     def _take(self, met: Met, distance: np.ndarray, thing: Thing, root: np.ndarray | int = 0) -> None:
@@ -175,7 +178,7 @@ class Meetings:
         self._take(met, np.where(met_here & on_screen, distance, np.inf), Thing(SCREEN, number, 0))
 
     def _detector(self, met: Met, origin, direction) -> None:
-        distance, inside = detector_crossing(self._setup.assembly.detector, origin, direction)
+        distance, inside = detector_crossing(self.detector, origin, direction)
         self._take(met, np.where(inside & (distance >= -COINCIDENT), distance, np.inf), Thing(DETECTOR))
 
 
@@ -238,7 +241,7 @@ def _crossings(surface: Surface, closed: bool, origin: np.ndarray, direction: np
 
 def _coincident_faces(elements: tuple[Element, ...]) -> dict[tuple[int, int], tuple[int, int]]:
     """Faces of glasses that are the same surface as a face of another glass, each with that one."""
-    faces = [(number, face) for number, element in enumerate(elements) if element.kind == "glass" and not element.closed
+    faces = [(number, face) for number, element in enumerate(elements) if element.media and not element.closed
              for face in range(len(element.faces)) if OUTSIDE in element.sides[face]]  # fmt: skip
     found = {}
     for one in faces:
