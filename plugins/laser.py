@@ -12,11 +12,11 @@ Laser (:monosp:`laser`)
    - |exposed|
  * - wavelength
    - |float|
-   - Vacuum wavelength [nm]. (Required unless ``wavelengths`` is given)
+   - Vacuum wavelength [nm]; as a |string| also of several lines, such as ``632.8, 780``. (Required)
    - |exposed|
  * - wavelengths
    - |string|
-   - Vacuum wavelengths [nm] of a laser of several lines, such as ``632.8, 780``.
+   - The same as ``wavelength`` with several.
    -
  * - weights
    - |string|
@@ -49,22 +49,38 @@ Laser (:monosp:`laser`)
    - The same as ``wavefront_radius``, along the laser's local x and y axes: an astigmatic beam.
      (Default: ``wavefront_radius``)
    - |exposed|
+ * - traced
+   - |boolean|
+   - Whether its light goes over what stands on its way to the target; its radii are then those where the laser stands.
+     (Default: false)
+   -
  * - power
    - |float|
    - Power of the beam [mW], of all its lines together, from which a detector's ``exposure`` makes electrons. Of several
      lasers all or none say it. (Default: not said)
    -
 
-A coherent Gaussian beam. Its light reaches the target unobstructed: it is not traced through the elements between
-target and detector. The wavefront radius is independent of the laser's distance, since collimating optics
-usually stand in the laser. To other integrators it is a collimated beam of one unit of power.
+A coherent Gaussian beam. Unless it is ``traced`` its light reaches the target unobstructed, whatever stands there, and
+the wavefront radius is independent of the laser's distance, since collimating optics usually stand in the laser. To
+other integrators it is a collimated beam of one unit of power.
 
-Both radii are those at one place, where the beam's axis meets the target at rest. From there on they follow Gaussian
-optics: with the wavelength they determine the waist, w(s) = w |1 + s (1/R + i lambda/(pi w^2))| at the distance s along
-the axis, through which the light goes on as a diverging beam, with Gouy's phase. A target that is moved along the beam
-is lit by the radius there. Wavefronts are spheres of the local radius, so that far from the waist the light is a
-spherical wave. The field's relative error is about the square of the divergence, lambda/(pi w_waist) [rad]: 3e-6 for a
-waist of 0.12 mm, 2e-3 for one of 5 um; more than 0.35 rad is refused.
+With ``traced`` the light goes through collimators, over fold mirrors and beam splitters, past edges: its axis is
+followed to the target at rest, exactly, and the Gaussian beam is carried along it. ``beam_radius`` and
+``wavefront_radius`` are then the laser's own, at its place, where a diode has its waist (``inf``). What lenses and
+edges make of the light beside that (aberrations, diffraction at every outline that cuts it within three radii) is a
+Rayleigh-Sommerfeld sum over the beam's cross-section with exactly traced paths, to the scene's tolerance; where that
+takes too many nodes (a wide beam far out of focus) the Gaussian beam stands for it, and its aberrations, as rays have
+them, are part of the stated error. Losses count: the field is in units of a beam of the same radii with all the power.
+Left out are ghosts, light that misses the way of the axis, and what detectors keep off; first-order theory takes the
+Gaussian beam. Refused, by name, are light whose axis is blocked, that comes by two ways or is cut beside its way by
+something that is no opening on it, and light without a ``beam_radius``.
+
+Both radii are those at one place, where the beam's axis meets the target at rest (the laser, if traced). From there on
+they follow Gaussian optics: with the wavelength they determine the waist, w(s) = w |1 + s (1/R + i lambda/(pi w^2))| at
+the distance s along the axis, through which the light goes on as a diverging beam, with Gouy's phase. A target that is
+moved along the beam is lit by the radius there. Wavefronts are spheres of the local radius, so that far from the waist
+the light is a spherical wave. The field's relative error is about the square of the divergence, lambda/(pi w_waist)
+[rad]: 3e-6 for a waist of 0.12 mm, 2e-3 for one of 5 um; more than 0.35 rad is refused.
 
 A laser diode's beam is wider along its fast axis, and may have its two waists at two places. The local x and y axes are
 the beam's own: ``to_world`` turns them (``up`` of a ``lookat`` is the local y axis as far as the direction allows, and
@@ -118,7 +134,8 @@ import mitsuba as mi
 import numpy as np
 
 from speckle_mi.scattering.beam import Beam
-from speckle_mi.scene.parameters import describe, read_number
+from speckle_mi.scene.errors import SceneError
+from speckle_mi.scene.parameters import describe, read_boolean, read_number
 from ._beam import beam_of, check_beam, read_beam
 from ._numbers import expose, in_words
 from ._placement import Placement
@@ -135,6 +152,7 @@ class Laser(mi.Emitter):
         self.placement = Placement(props)
         self.spectrum = read_spectrum(self, props)
         self.shape = read_beam(self, props)
+        self.traced = read_boolean(props, "traced", False)
         self.power = read_number(props, "power", **_POWER) if "power" in props else None
         self._check()
         super().__init__(props)
@@ -151,6 +169,8 @@ class Laser(mi.Emitter):
     def _check(self) -> None:
         check_spectrum(self, self.spectrum)
         check_beam(self, self.shape, self.beam)
+        if self.traced and self.beam().is_uniform:
+            raise SceneError(f"{self.where}: is traced, but has no 'beam_radius': light without a width has no end")
 
     # What other integrators see: a collimated beam whose irradiance is that of one unit of power.
 

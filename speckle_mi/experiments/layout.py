@@ -21,6 +21,7 @@ from ..scattering.beam import Beam
 from ..scene.assembly import Assembly
 from ..scene.body import Body
 from ..scene.elements import OUTSIDE, Element
+from ..scene.traced_light import drawn_light
 from .problems import Problem, dark_ways, missed_beams
 
 _ALONG_PROFILE = 61
@@ -95,7 +96,10 @@ def layout_of(assemblies: Mapping[str, Assembly]) -> Layout:
     size = _size(parts, spot.point)
     beams = []
     for lit in first.named_parts:
-        lines, place = _beam(lit.beam, lit.spot_at(frame).point, axes, size)
+        lines, place = _beam(lit.beam, lit.spot_at(frame).point, axes, size if lit.path is None else 0.0)
+        if lit.path is not None and lit.path.interactions:
+            lines = (*lines, *map(Line, drawn_light(lit.path)))
+            place = lit.path.own.origin - 0.02 * size * lit.path.own.axis
         beams.append(lines)
         parts.append(Part(lit.light, "laser", ((), ()), place))
     facts = tuple(_facts(first, frame, assemblies, rays))

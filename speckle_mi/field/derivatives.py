@@ -17,7 +17,7 @@ from ..geometry.plane import PlanePoints
 from ..geometry.pose import DEGREES_OF_FREEDOM
 from ..optics.sequence import amplitude_of, detector_plane
 from ..plan.plan import Plan
-from ..plan.setup import Setup
+from ..plan.setup import Lighting, Setup
 from ..plan.opening_shadows import has_shadow
 from ..plan.shadows import is_clear
 from ..plan.visibility import pixels_in_view
@@ -41,6 +41,9 @@ LOOSEST = 1e-4
 
 EVERY_PAIR = 1e-6
 """Error [relative L2] of a pass over all pairs, whose phasors are float32."""
+
+_FINE = 1e-2
+"""Part of the usual step for light that may be finer than a beam."""
 
 QUADRATURE = 1e-7
 """Error of an integral over an opening, relative to its L2 scale."""
@@ -134,8 +137,8 @@ def _without_openings(setup, scatterers: Scatterers, channel: Channel, places: P
     if alone and is_clear(setup, channel, scatterers.position, setup.frame.axes):
         return _in_free_space(setup, scatterers, places)
 
-    def field(path, lobe):
-        return on_detector(setup, channel, path, scatterers, places, lobe)[0]
+    def field(path, lobe, lit=scatterers):
+        return on_detector(setup, channel, path, lit, places, lobe)[0]
 
     path = _cheap(path, scatterers.position, places, wavelength)
     rates = _at_first(setup, scatterers, path, places, lobe, field)
@@ -157,20 +160,19 @@ def _few_pairs(path, scatterers: Scatterers, points: int, lobe: Lobe | None) -> 
 
 
 def _in_free_space(setup: Setup, scatterers: Scatterers, places: PlanePoints) -> tuple[_Rates, np.ndarray]:
-    beam = setup.assembly.beam
-    gradients = beam_gradients(beam, scatterers.position)
-    found = free_space_rates(scatterers.position, scatterers.amplitude, gradients, places, beam.wavelength)
+    gradients = light_gradients(setup.light, scatterers.position)
+    wavelength = setup.assembly.beam.wavelength
+    found = free_space_rates(scatterers.position, scatterers.amplitude, gradients, places, wavelength)
     rows = np.array([found.by_motion(motion.shift, motion.turn, motion.origin) for motion in _motions(setup)])
     common = rows @ found.field.conj() / max(np.vdot(found.field, found.field).real, 1e-300)
     values = np.array([found.field, *(rows - common[:, None] * found.field)])
     return _Rates(values, common, EVERY_PAIR), found.along
 
 
-def beam_gradients(beam, points: np.ndarray) -> np.ndarray:
-    """Gradient (n, 3) complex of the logarithm of the beam's field at points (n, 3) [1/mm]."""
-    steps = STEP * np.concatenate([np.eye(3), -np.eye(3)])
-    values = beam.log_field((points + steps[:, None]).reshape(-1, 3)).reshape(6, -1)
-    return ((values[:3] - values[3:]) / (2 * STEP)).T
+def light_gradients(light: Lighting, points: np.ndarray) -> np.ndarray:
+    """Gradient (n, 3) complex of the logarithm of the light's field at points (n, 3) [1/mm]."""
+    ahead, behind = ((points + step[:, None]).reshape(-1, 3) for step in (STEP * np.eye(3), -STEP * np.eye(3)))
+    return (light.log_ratio(ahead, behind).reshape(3, -1) / (2 * STEP)).T
 
 
 def _over_openings(setup, scatterers: Scatterers, channel: Channel, places: PlanePoints, lobe: Lobe | None):
@@ -208,8 +210,8 @@ def _on_first(setup, scatterers, channel, path, nodes, tolerance, lobe) -> _Rate
         return _in_free_space(setup, scatterers, nodes)[0]
     path = _cheap(path, scatterers.position, nodes, wavelength)
 
-    def field(path, lobe):
-        return on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe)[0]
+    def field(path, lobe, lit=scatterers):
+        return on_first_opening(setup, channel, rim, path, lit, nodes, tolerance, lobe)[0]
 
     return _at_first(setup, scatterers, path, nodes, lobe, field)
 
@@ -222,21 +224,23 @@ def _carried(rates: _Rates, channel, path, sources, target: PlanePoints, how) ->
 def _at_first(setup: Setup, scatterers: Scatterers, path, target: PlanePoints, lobe: Lobe | None, field) -> _Rates:
     """Field and derivatives at the first places that the light comes to.
 
-    field: (path, lobe) -> (m,) the sum of the scatterers there.
+    field: (path, lobe, scatterers as they are unless others are given) -> (m,) their sum there.
     """
-    beam, points = setup.assembly.beam, target.points()
+    wavelength, points = setup.assembly.beam.wavelength, target.points()
     rows, constants = [field(path, lobe)], []
     middle = centre_of_power(scatterers.position, scatterers.amplitude)
-    gradient = gradient_at(path, beam.wavelength, middle, points)
+    gradient = gradient_at(path, wavelength, middle, points)
     for motion in _motions(setup):
         reach = float(np.linalg.norm(motion.velocity(scatterers.position), axis=1).max(initial=1e-3))
-        light = _lit(beam, motion, reach)
-        rate = RatePath(path, beam.wavelength, middle, motion.velocity, None, light, reach)
+        light = _lit(setup.assembly.beam, motion, reach)
+        rate = RatePath(path, wavelength, middle, motion.velocity, None, light, reach)
         common = motion.velocity(middle[None])[0] @ gradient + light(middle[None])[0]
         constants.append(common.mean())
         row = (common - constants[-1]) * rows[0]
         if scatterers.count > 1:  # one alone has nothing but what is common
             row = row + field(rate, lobe)
+        if setup.beside_beam is not None:
+            row = row + field(path, lobe, _beside_beam(setup, scatterers, motion, reach))
         if lobe is not None:
             step = radiation.STEP if np.any(motion.turn) else _lobe_step(setup, target)
             row = row + field(path, LobeRate(lobe, motion, None, step))
@@ -244,13 +248,22 @@ def _at_first(setup: Setup, scatterers: Scatterers, path, target: PlanePoints, l
     return _Rates(np.array(rows), np.array(constants), setup.assembly.options.tolerance)
 
 
-def _lit(beam, motion: Motion, reach: float):
-    """points (n, 3) -> rate (n,) at which the light on them changes as they move."""
+def _beside_beam(setup: Setup, scatterers: Scatterers, motion: Motion, reach: float) -> Scatterers:
+    """Scatterers with the rate at which their light changes beside the beam's own change.
+
+    A sum of its own: unlike a beam's logarithm, that of light which optics have changed is rough where it is dim.
+    """
+    rates = [_lit(one, motion, reach, _FINE)(scatterers.position) for one in (setup.light, setup.assembly.beam)]
+    return replace(scatterers, amplitude=scatterers.amplitude * (rates[0] - rates[1]))
+
+
+def _lit(lighting: Lighting, motion: Motion, reach: float, part: float = 1.0):
+    """points (n, 3) -> rate (n,) at which the light on them changes as they move; part: of the usual step."""
 
     def rate(points: np.ndarray) -> np.ndarray:
-        step = STEP / reach
+        step = part * STEP / reach
         move = step * motion.velocity(points)
-        return (beam.log_field(points + move) - beam.log_field(points - move)) / (2 * step)
+        return lighting.log_ratio(points + move, points - move) / (2 * step)
 
     return rate
 

@@ -28,6 +28,7 @@ from ..scene.tracer import Tracer
 from .derivatives import DerivativeFields, derivative_fields
 from .exposure import CameraFrame, picture_of
 from .frame import FrameResult, LightOnDetector, header_of
+from .illumination import Illumination
 from .incoherent import added_up, by_photons, layers_of, named, stacked, together, too_few_samples
 from .lobe import Lobe
 from .stages import ChannelField, channel_field, ray_channel
@@ -74,6 +75,7 @@ class Simulation:
         self._tracer = Tracer(assembly.elements, assembly.target) if tracer is None else tracer
         self._plans: dict[tuple[Pose, Options], Plan] = {}
         self._lobe: Lobe | None = None
+        self._lamp = Illumination(assembly, self._costs)
         self._lock = threading.Lock()
         self._further = tuple(Simulation(part, self._tracer) for part in assembly.parts[1:])
 
@@ -135,11 +137,13 @@ class Simulation:
         """What the first light alone brings to the detector."""
         setup = self._setup(self._surface(seed), pose, options)
         plan, warnings = self._plan(setup), []
-        lit = _illuminated(setup) if lit is None else lit
+        lit = self._lamp.on(setup) if lit is None else lit
+        light = self._lamp.stages(setup, lit)
         warnings += too_few_samples(setup.assembly, lit)
         scatterers = _visible(setup, lit, plan, warnings)
         centre, intensity, stages, error = self._detect(setup, scatterers, plan, warnings)
         warnings += plan.warnings
+        stages, error = (*light, *stages), float(np.hypot(error, max((one.error or 0.0 for one in light), default=0.0)))
         if error > setup.assembly.options.tolerance:
             warnings.append(_beyond_tolerance(error, setup.assembly.options.tolerance, stages))
         return LightOnDetector(self.assembly, centre, intensity, scatterers, stages, error, tuple(warnings))
@@ -148,7 +152,7 @@ class Simulation:
     @products_on_one_thread()
     def lit(self, pose: Pose | None = None, seed: int | None = None) -> tuple[Scatterers, ...]:
         """The scatterers under every beam, which do not depend on the detector, nor on what stands before it."""
-        return tuple(_illuminated(one._setup(one._surface(seed), pose, None)) for one in (self, *self._further))
+        return tuple(one._lamp.on(one._setup(one._surface(seed), pose, None)) for one in (self, *self._further))
 
     @raised_as_such()
     @products_on_one_thread()
@@ -182,7 +186,9 @@ class Simulation:
         """The derivatives of the first light alone."""
         setup = self._setup(self._surface(seed), Pose(), None)
         plan = self._plan(setup)
-        scatterers = _visible(setup, _illuminated(setup) if lit is None else lit, plan, [])
+        lit = self._lamp.on(setup) if lit is None else lit
+        setup = replace(setup, beside_beam=self._lamp.beside_beam(setup, lit))
+        scatterers = _visible(setup, lit, plan, [])
         return derivative_fields(setup, plan, scatterers, pixels, self._radiation())
 
     def _surface(self, seed: int | None) -> Assembly:
@@ -261,14 +267,6 @@ class Simulation:
             return part
         seen = pixels_in_view(setup, grid)
         return part if np.all(seen) else replace(part, field=part.field * seen)
-
-
-def _illuminated(setup: Setup) -> Scatterers:
-    """The scatterers under the beam."""
-    target, beam = setup.assembly.target, setup.assembly.beam
-    if target.points is not None:
-        return target.points.at(setup.frame).lit_by(beam)
-    return target.surface.scatterers(beam, setup.frame).at(setup.frame).lit_by(beam)
 
 
 def _visible(setup: Setup, lit: Scatterers, plan: Plan, warnings: list[str]) -> Scatterers:

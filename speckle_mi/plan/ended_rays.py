@@ -9,7 +9,7 @@ import numpy as np
 from ..optics.sequence import Sequence
 from ..optics.trace import trace
 from ..scene.elements import OUTSIDE
-from .meeting import AIR, DETECTOR, FACE, HOLE, NOTHING, Meetings, Place, detector_crossing
+from ..scene.meeting import AIR, DETECTOR, FACE, HOLE, NOTHING, Meetings, Place, detector_crossing
 from .places import on_pixels
 from .setup import Setup
 
@@ -34,7 +34,7 @@ def ended_rays(setup: Setup) -> list[EndedRay]:
 
     Those that go into empty space without crossing the detector's plane from its front are left out.
     """
-    meetings = Meetings(setup)
+    meetings = setup.meetings
     start = setup.spot.point
     aims = [*on_pixels(meetings.detector, _SIDES)]
     aims += [face.middle for element in meetings.elements for face in element.faces]
@@ -84,7 +84,7 @@ def _beyond(
     """Direction (1, 3) behind a face, what the ray is in then and the face that it has left; None where it ends."""
     element = meetings.elements[number]
     medium = inside[1] if inside[0] == number else OUTSIDE
-    interaction, beyond, left = element.interaction(face, medium, root), inside, (number, face)
+    interaction, beyond, left = element.interactions(face, medium, root)[0], inside, (number, face)
     if interaction.action == "refract":
         other = element.beyond(face, medium)
         beyond = AIR if other == OUTSIDE else (number, other)

@@ -4,27 +4,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from ..geometry.frames import Frame
 from ..geometry.pose import Pose
 from ..propagation.costs import RECORDED, Costs
-from ..scattering.beam_kernel import TRUNCATION
 from ..scene.assembly import Assembly, Spot
 from ..scene.meeting import Meetings
 from ..scene.tracer import TARGET, Tracer, off_surface
 
 
+class Lighting(Protocol):
+    """A beam, or light that is like one around the target."""
+
+    def log_ratio(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Logarithm (n,) of the field at points (n, 3) over that at others close by."""
+
+
 @dataclass(frozen=True, eq=False)
 class Setup:
     """assembly: what there is; pose: the target's displacement from rest; tracer: tells which ways are free; costs: of
-    the pieces of a sum, from which the cheapest way of doing it is chosen."""
+    the pieces of a sum, from which the cheapest way of doing it is chosen; beside_beam: what lights the target, as
+    ``Beam`` has it, where optics have made another light of the assembly's beam."""
 
     assembly: Assembly
     pose: Pose
     tracer: Tracer
     costs: Costs = RECORDED
+    beside_beam: Lighting | None = None
+
+    @property
+    def light(self) -> Lighting:
+        """What lights the target."""
+        return self.assembly.beam if self.beside_beam is None else self.beside_beam
 
     @cached_property
     def frame(self) -> Frame:
@@ -80,7 +94,7 @@ class Setup:
         second = np.cross(normal, first)
         tangents = np.stack([first, second])
         # (p.x/X)^2 + (p.y/Y)^2 = 1 at its edge, p in the surface.
-        lit = (beam.across @ tangents.T) / np.minimum(TRUNCATION * beam.radii_at(spot), largest)[:, None]
+        lit = (beam.across @ tangents.T) / np.minimum(beam.cutoff * beam.radii_at(spot), largest)[:, None]
         inverse_squares, turn = np.linalg.eigh(lit.T @ lit)
         sizes = np.minimum(1 / np.sqrt(np.maximum(inverse_squares, largest**-2)), largest)
         ends = (size * sign * axis for size, axis in zip(sizes, turn.T @ tangents, strict=True) for sign in (-1, 1))

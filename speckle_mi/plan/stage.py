@@ -29,6 +29,7 @@ RAYS = "rays"
 PIXELS = "pixels"
 NOTHING_SUMMED = "nothing summed"
 INCOHERENT = "incoherent"
+LIGHT = "light"
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,15 @@ def in_words(stage: Stage) -> str:
             nodes = f", {stage.nodes} nodes" if stage.nodes is not None else ""
             shadow = "" if stage.share is None else f"; {stage.share:.1%} of the pixels in full or partial shadow"
             return f"sum to {named}{nodes}: {stage.how}{shadow}"
+        case "light":
+            if stage.nodes is not None:
+                return f"light over {stage.way}: summed from {stage.nodes} nodes across the beam"
+            if stage.reason:
+                return (
+                    f"light over {stage.way}: a Gaussian beam {stage.reason}, exactly traced "
+                    f"(aberrations are left out: about {stage.error:.1e} of the field)"
+                )
+            return f"light over {stage.way}: as it leaves the laser"
         case "incoherent":
             return f"intensities add up: {named}, {stage.count} wavelengths or lasers in all"
         case "rays":

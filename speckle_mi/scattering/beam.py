@@ -19,7 +19,8 @@ class Beam:
     propagation; radii: (2,) 1/e^2 intensity radii along x and y at ``reference`` [mm], inf = uniform;
     wavefront_radii: (2,) signed radii of curvature along x and y at ``reference`` [mm], positive for a diverging wave,
     inf = plane; wavelength [mm]; reference: (3,) point of the axis at the target at rest [mm]; strength: modulus of the
-    field there.
+    field there; lead: optical path [mm] that the light has come before ``origin``, where it is the last surface on its
+    way instead of the laser; cutoff: how many of its radii it is taken into account to.
 
     Along either axis it is the lowest Gaussian mode of complex parameter q = q_0 + s, s the distance along the beam
     from ``reference`` and 1/q_0 = 1/R_0 + i lambda/(pi w_0^2) the given values there (phasor e^{+ikL}; A. E. Siegman,
@@ -42,6 +43,8 @@ class Beam:
     wavelength: float
     reference: np.ndarray
     strength: float = 1.0
+    lead: float = 0.0
+    cutoff: float = TRUNCATION
 
     @classmethod
     def round(
@@ -97,7 +100,7 @@ class Beam:
     @property
     def cutoffs(self) -> np.ndarray:
         """(2,) distances along x and y up to which the beam is taken into account at the reference point [mm]."""
-        return TRUNCATION * self.radii
+        return self.cutoff * self.radii
 
     def aimed_at(self, reference: np.ndarray) -> Beam:
         """The same beam with its radii and wavefront radii given at another point of its axis."""
@@ -106,7 +109,7 @@ class Beam:
     @property
     def reference_path(self) -> float:
         """Optical path from the laser, which is the phase reference, to ``reference`` [mm]."""
-        return float((self.reference - self.origin) @ self.axis)
+        return self.lead + float((self.reference - self.origin) @ self.axis)
 
     def radii_at(self, point: np.ndarray) -> np.ndarray:
         """(2,) 1/e^2 intensity radii along x and y [mm] in the plane across the beam through a point (3,)."""
@@ -168,6 +171,10 @@ class Beam:
         decay = np.sum(across**2 / (self.radii[:, None] ** 2 * modulus), axis=0)
         decay = decay + 0.5 * np.sum(np.log(1 + along * self.inverse_parameters[:, None]), axis=0)
         return 1j * self.wavenumber * path - decay
+
+    def log_ratio(self, points: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Logarithm (n,) of the field at points (n, 3) over that at others close by."""
+        return self.log_field(points) - self.log_field(others)
 
     def _parts(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distance along the axis from the reference (n,) and the coordinates across it (2, n) [mm]."""

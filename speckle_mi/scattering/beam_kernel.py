@@ -31,19 +31,20 @@ class BeamKernel:
         ]
         self.inverse_wavenumber = opaque(1 / beam.wavenumber)
         self.inverse_wavelength = opaque(1 / beam.wavelength)
+        self.cutoff_square = opaque(beam.cutoff**2)
         self.strength = None if beam.strength == 1 else opaque(beam.strength)
         self.common_waves = opaque(beam.reference_path / beam.wavelength % 1.0)
 
     def within(self, points):
-        """Whether points lie within ``TRUNCATION`` of the beam's local radii of its axis."""
+        """Whether points lie within the beam's ``cutoff`` times its local radii of its axis."""
         along, across = self._parts(points)
         steps = [_step(along, *mode[:2]) for mode in self.modes]
         if self.round:
             inverse_square = self.modes[0][2]
-            return _squares(across) * inverse_square <= TRUNCATION**2 * steps[0][2]
+            return _squares(across) * inverse_square <= self.cutoff_square * steps[0][2]
         # Without a division, which would be by zero in the foci of a beam that is nearly uniform.
         x, y = (c * c * mode[2] for c, mode in zip(across, self.modes, strict=True))
-        return x * steps[1][2] + y * steps[0][2] <= TRUNCATION**2 * steps[0][2] * steps[1][2]
+        return x * steps[1][2] + y * steps[0][2] <= self.cutoff_square * steps[0][2] * steps[1][2]
 
     def evaluate(self, points):
         """(to_source, real, imaginary): vectors towards the light, not of unit length, and the complex amplitude.

@@ -21,6 +21,7 @@ from ..scattering.footprint import mean_plane_normal
 from ..scattering.rough_surface import PointScatterers, RoughSurface
 from .body import Body
 from .elements import Element
+from .light_path import LightPath
 
 GRAZING = 1e-9
 """Cosine of the angle of incidence below which the beam cannot light the target."""
@@ -64,7 +65,8 @@ class Light:
     """Light of one wavelength on the target, incoherent with all other: its intensity adds to theirs.
 
     name: of its field in an image's file, None for a sample of a line beside the line's middle; elements: as they are
-    at its wavelength; index: of the medium around everything; weight: factor of its intensity in the image's.
+    at its wavelength; index: of the medium around everything; weight: factor of its intensity in the image's; path: the
+    optics that it has come over to the target, None where it is not traced.
     """
 
     name: str | None
@@ -72,6 +74,7 @@ class Light:
     elements: tuple[Element, ...]
     index: float
     weight: float = 1.0
+    path: LightPath | None = None
 
 
 @dataclass(frozen=True)
@@ -97,7 +100,8 @@ class Assembly:
     Of several lasers, or one of several lines or of a line with a width, the first is ``beam`` and the others are
     ``further``: incoherent with it, their intensities add up. light, weight: what the first is called, and its
     intensity's factor; longest_path: path difference [mm] up to which the samples of a line stand for it; in_spot:
-    expected scatterers within the first beam's radii. Where the lasers' powers are said, fields are in proportion.
+    expected scatterers within the first beam's radii; path: the optics that the first light has come over to the
+    target, None where it is not traced. Where the lasers' powers are said, fields are in proportion.
     """
 
     beam: Beam
@@ -115,6 +119,7 @@ class Assembly:
     further: tuple[Light, ...] = ()
     longest_path: float = np.inf
     in_spot: float = field(default=0.0, compare=False)
+    path: LightPath | None = None
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Assembly) and self._whole == other._whole
@@ -132,7 +137,7 @@ class Assembly:
             *(
                 replace(
                     self, beam=light.beam, elements=light.elements, index=light.index, light=light.name,
-                    weight=light.weight, further=(),
+                    weight=light.weight, path=light.path, further=(),
                 )
                 for light in self.further
             ),

@@ -11,7 +11,7 @@ import numpy as np
 from ..optics.sequence import Interaction, Sequence
 from ..optics.trace import RayStatus, trace
 from .elements import OUTSIDE
-from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings, Place
+from .meeting import AIR, COINCIDENT, DETECTOR, FACE, HOLE, NOTHING, Meetings, Place, Thing
 
 MAX_INTERACTIONS = 32
 """Rays that have not arrived after this many surfaces, or twice as many as there are, are given up."""
@@ -127,19 +127,26 @@ class Follower:
                     bundle = starts[some], launches[some], places[some], directions[some], met.distance[some]
                     yield from self._meet(sequence, thing.element, thing.face, int(root), *bundle)
             elif thing.kind == HOLE:
-                normal = self.meetings.elements[thing.element].faces[0].frame.axes[:, 2]
-                slope = directions[one] @ normal
-                for side in (-1, 1):
-                    chosen = np.sign(slope) == side
-                    if np.any(chosen):
-                        self._arrive(sequence, thing.element, side, *(part[chosen] for part in rays))
+                yield from self._at_hole(sequence, thing.element, rays, places[one], directions[one], met.distance[one])
             elif thing.kind == DETECTOR:
                 self._arrive(sequence, None, 0, *rays)
-            elif thing.kind == NOTHING:
-                sequence.passes_detector |= self.meetings.passes_detector(places[one], directions[one])
-                self.stopped[NOTHING] += int(np.count_nonzero(one))
             else:
-                self.stopped[self.meetings.name_of(thing)] += int(np.count_nonzero(one))
+                if thing.kind == NOTHING:
+                    sequence.passes_detector |= self.meetings.passes_detector(places[one], directions[one])
+                self._end(sequence, thing, *rays)
+
+    def _at_hole(self, sequence: RaySequence, number: int, rays, places, directions, distance) -> Iterator[tuple]:
+        """Rays come to an opening, where their way ends; gives those that go on."""
+        slope = directions @ self.meetings.elements[number].faces[0].frame.axes[:, 2]
+        for side in (-1, 1):
+            chosen = np.sign(slope) == side
+            if np.any(chosen):
+                self._arrive(sequence, number, side, *(part[chosen] for part in rays))
+        yield from ()
+
+    def _end(self, sequence: RaySequence, thing: Thing, starts: np.ndarray, launches: np.ndarray) -> None:
+        """Rays of a sequence end at something, or at nothing."""
+        self.stopped[NOTHING if thing.kind == NOTHING else self.meetings.name_of(thing)] += len(starts)
 
     def _meet(self, sequence: RaySequence, number: int, face: int, root: int, starts, launches, places, directions,
               distance) -> Iterator[tuple]:  # fmt: skip

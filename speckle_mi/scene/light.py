@@ -12,9 +12,13 @@ from ..scattering.beam import Beam
 from ..scattering.rough_surface import RoughSurface
 from .assembly import GRAZING, Light, Target
 from .body import Body
+from .elements import Element
 from .errors import SceneError
+from .light_path import LightPath
 from .parameters import integer_of, value_of
 from .shapes import elements_of
+from .traced_light import light_path
+from .tracer import Tracer
 
 
 def lights_of(
@@ -38,17 +42,19 @@ def lights_of(
     first = None
     for laser in lasers:
         for line in laser.lines():
-            beam = replace(line.beam, wavelength=line.beam.wavelength / medium)
-            beam, density = _aim(beam, shape)
+            beam, path = replace(line.beam, wavelength=line.beam.wavelength / medium), None
+            if beam.wavelength not in elements:
+                # Of glasses, by the vacuum wavelength.
+                elements[beam.wavelength] = tuple(elements_of(shapes, shape, medium, line.beam.wavelength))
+            if laser.traced:
+                path = _path(beam, laser, elements[beam.wavelength], shape)
+            beam, density = _aim(beam, path, shape)
             if len(lasers) > 1 and laser.power is not None:
                 # Of a power P the share P density/N falls on every scatterer, where N lie within the radii.
                 first = first or laser.power * density
                 beam = replace(beam, strength=beam.strength * float(np.sqrt(laser.power * density / first)))
-            if beam.wavelength not in elements:
-                # Of glasses, by the vacuum wavelength.
-                elements[beam.wavelength] = tuple(elements_of(shapes, shape, medium, line.beam.wavelength))
             name = None if line.number is None else laser.id() + (f".line{line.number + 1}" if line.number else "")
-            lights.append(Light(name, beam, elements[beam.wavelength], medium, line.weight))
+            lights.append(Light(name, beam, elements[beam.wavelength], medium, line.weight, path))
             densities.append(density)
             paths.append(line.longest_path)
     crowding = max(densities) / densities[0]
@@ -70,11 +76,25 @@ def _require_powers(lasers: list[mi.Emitter]) -> None:
             raise SceneError(f"{laser.where}: {lacking}: of several lasers the powers of all or of none must be known")
 
 
-def _aim(beam: Beam, shape: mi.Shape) -> tuple[Beam, float]:
-    """The beam aimed at where its axis meets the target at rest, and the density of scatterers [1/mm^2] under it."""
+def _path(beam: Beam, laser: mi.Emitter, elements: tuple[Element, ...], shape: mi.Shape) -> LightPath:
+    """The optics that the light of a traced laser comes over. SceneError where it does not come to the target."""
+    target = _target(shape, density=0.0)
+    return light_path(beam, laser.where, elements, target, Tracer(elements, target))
+
+
+def _aim(beam: Beam, path: LightPath | None, shape: mi.Shape) -> tuple[Beam, float]:
+    """The beam aimed at where its axis meets the target at rest, and the density of scatterers [1/mm^2] under it.
+
+    path: the optics before it, of a traced laser.
+    """
     frame, facets = shape.placement.frame, shape.facets
+    if path is not None:
+        beam = path.beam_at(path.carried.place)
     spot, normal = _where_axis_meets(facets, frame, beam, shape.where, required=shape.points is None)
-    beam = beam.aimed_at(beam.origin + ((spot - beam.origin) @ beam.axis) * beam.axis)
+    if path is None:
+        beam = beam.aimed_at(beam.origin + ((spot - beam.origin) @ beam.axis) * beam.axis)
+    else:
+        beam = path.beam_at(spot)
     if beam.is_uniform:
         return beam, shape.point_sources / float(np.sum(facets.area))
     return beam, shape.point_sources * abs(float(normal @ beam.axis)) / (np.pi * beam.radius**2)

@@ -97,6 +97,8 @@ class Meetings:
 
     def passes_detector(self, places: np.ndarray, directions: np.ndarray) -> bool:
         """Whether any ray crosses the detector's plane from its front."""
+        if self.detector is None:
+            return False
         distance, _ = detector_crossing(self.detector, places, directions)
         return bool(np.any(np.isfinite(distance) & (distance > 0)))
 
@@ -107,6 +109,8 @@ class Meetings:
         """
         count = len(origin)
         met = Met(np.full(count, np.inf), np.zeros(count, dtype=np.int64), np.zeros(count, dtype=np.int64))
+        if not count:
+            return met
         if inside == AIR:
             self._air(met, origin, direction, left)
         else:

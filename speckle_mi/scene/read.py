@@ -109,6 +109,7 @@ def _read(scene: mi.Scene, detectors: list[mi.Sensor], spp: int) -> list[Assembl
             further=tuple(further),
             longest_path=longest_path,
             in_spot=in_spot,
+            path=light.path,
         )
         for detector in detectors
     ]
