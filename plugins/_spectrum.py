@@ -41,10 +41,11 @@ def read_spectrum(laser, props: mi.Properties) -> dict:
     """Gives a laser its wavelengths; returns the names of its numbers with their limits. SceneError for bad ones."""
     laser.lines_nm, laser.shares = (), (1.0,)
     numbers = {"linewidth": _LINEWIDTH}
-    if "wavelengths" in props:
-        if "wavelength" in props:
-            raise SceneError(f"{laser.where}: has 'wavelength' and 'wavelengths', must have one of them")
-        laser.lines_nm = _numbers_in(laser.where, props, "wavelengths", _WAVELENGTH)
+    if "wavelengths" in props and "wavelength" in props:
+        raise SceneError(f"{laser.where}: has 'wavelength' and 'wavelengths', must have one of them")
+    name = "wavelengths" if "wavelengths" in props else "wavelength" if _is_list(props, "wavelength") else None
+    if name is not None:
+        laser.lines_nm = _numbers_in(laser.where, props, name, _WAVELENGTH)
         laser.shares = (1 / len(laser.lines_nm),) * len(laser.lines_nm)
     else:
         numbers = {"wavelength": _WAVELENGTH} | numbers
@@ -92,6 +93,11 @@ def lines_of(laser) -> list[LaserLine]:
             beam = beam_of(laser, wavelength * 1e-6, share)
             lines.append(LaserLine(None if k else number, beam, float(weight), limit))
     return lines
+
+
+def _is_list(props: mi.Properties, name: str) -> bool:
+    """Whether a parameter is a text of several words."""
+    return name in props and isinstance(props[name], str) and len(props[name].replace(",", " ").split()) > 1
 
 
 def _numbers_in(where: str, props: mi.Properties, name: str, limits: dict) -> tuple[float, ...]:

@@ -140,7 +140,7 @@ def _write(files: _Files, assembly, frame, settings: dict, pose: Pose | None, op
     from .machine.progress import progress_bars
 
     with progress_bars(options.quiet):
-        layers = source_layers(assembly, frame.scatterers, pose, options.per_source)
+        layers = source_layers(frame.parts, pose, options.per_source)
     image = replace(frame.image, header=frame.image.header | settings)
     write_field(files.output, image, layers)
     if files.sources:

@@ -12,7 +12,7 @@ from speckle_mi.experiments.expectation import expected_sensitivity
 from speckle_mi.experiments.layout import layout_of
 from speckle_mi.experiments.one_frame import OneFrame
 from speckle_mi.field.simulation import Simulation, simulate_frame
-from speckle_mi.field.sources import write_sources
+from speckle_mi.field.sources import source_layers, write_sources
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.images.exr import read_field, write_field
 from speckle_mi.machine.fingerprint import fingerprint
@@ -122,6 +122,28 @@ def test_lines_share_the_power_by_their_weights(assemble):
     for name, wavelength, share in (("laser.E", 632.8, 0.75), ("laser.line2.E", 780.0, 0.25)):
         alone = simulate_frame(assemble(scene(laser(wavelength=wavelength)))).image.field
         np.testing.assert_allclose(frame.image.layers[name], np.sqrt(share) * alone, rtol=1e-9)
+
+
+def test_wavelength_may_name_several_lines_itself(assemble):
+    one, other = (assemble(scene(laser(**names))) for names in (
+        {"wavelength": "632.8, 780", "weights": "3 1"},
+        {"wavelength": None, "wavelengths": "632.8, 780", "weights": "3 1"},
+    ))  # fmt: skip
+    assert one == other and len(one.parts) == 2
+
+
+def test_every_laser_has_its_own_fields_of_single_scatterers(assemble):
+    frame = simulate_frame(assemble(scene(*TWO)))
+    layers = source_layers(frame.parts, None, 2)
+    assert list(layers) == ["left.source000", "left.source001", "right.source000", "right.source001"]
+    for part in frame.parts:
+        position, amplitude = part.scatterers.position[1], part.scatterers.amplitude[1]
+        r = np.linalg.norm(part.assembly.detector.points() - position, axis=1)
+        expected = amplitude * np.exp(1j * part.assembly.beam.wavenumber * r) / r
+        found = layers[f"{part.assembly.light}.source001"].ravel()
+        assert np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
+    alone = simulate_frame(assemble(scene(TWO[0])))
+    assert list(source_layers(alone.parts, None, 1)) == ["source000"]
 
 
 def test_pattern_of_another_wavelength_is_shifted_as_first_order_theory_says(assemble):

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,26 +15,31 @@ from ..geometry.pose import Pose
 from ..machine.files import replacing
 from ..machine.memory import excess
 from ..machine.progress import tell
+from .frame import LightOnDetector
 
 BYTES_PER_LAYER = 24
 """Memory of a pixel of one scatterer's field while it is being written: complex128 and its two float32 channels."""
 
 
-def source_layers(assembly, scatterers, pose: Pose | None, count: int) -> dict[str, np.ndarray]:
+def source_layers(parts: Sequence[LightOnDetector], pose: Pose | None, count: int) -> dict[str, np.ndarray]:
     """Complex fields (rows, columns) of the first ``count`` scatterers alone, by the names of their layers.
 
-    Raises InputError where they take more memory than the machine has.
+    parts: of a frame; of several lasers or lines each has its own, called ``<its name>.source000`` and so on. Raises
+    InputError where they take more memory than the machine has.
     """
     from .simulation import Simulation
 
-    asked, count = count, min(count, scatterers.count)
-    if too_much := excess(count * assembly.detector.size * BYTES_PER_LAYER):
-        raise InputError(f"--per-source {asked}: the layers {too_much}")
-    digits = max(3, len(str(count)))
-    layers, simulation = {}, Simulation(assembly)
-    for number in range(count):
-        layers[f"source{number:0{digits}d}"] = simulation.field_of(scatterers.selected(np.array([number])), pose)
-        tell("layers", number + 1, count)
+    counts = [min(count, part.scatterers.count) for part in parts]
+    if too_much := excess(sum(counts) * parts[0].assembly.detector.size * BYTES_PER_LAYER):
+        raise InputError(f"--per-source {count}: the layers {too_much}")
+    layers = {}
+    for part, own in zip(parts, counts, strict=True):
+        digits, simulation = max(3, len(str(own))), Simulation(replace(part.assembly, further=()))
+        prefix = f"{part.assembly.light}." if len(parts) > 1 else ""
+        for number in range(own):
+            alone = part.scatterers.selected(np.array([number]))
+            layers[f"{prefix}source{number:0{digits}d}"] = simulation.field_of(alone, pose)
+            tell("layers", len(layers), sum(counts))
     return layers
 
 
