@@ -191,6 +191,13 @@ def test_a_telephone_shows_all_of_it_without_scrolling_sideways(page):
 
 @needs_browser
 def test_it_prints(page):
+    """On white, whatever the reader likes on a screen, and no wider than a sheet of A4 between its margins."""
+    page.resize(718, 1000)
+    page.prefer("dark", media="print")
+    assert page.value("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
+    assert page.value("getComputedStyle(document.body).color") == "rgb(0, 0, 0)"
+    assert page.value("document.documentElement.scrollWidth") <= 718
+    page.prefer("light")
     paper = page.paper()
     assert paper.startswith(b"%PDF") and paper.count(b"/Type /Page\n") + paper.count(b"/Type /Page ") >= 2
 
