@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from ..errors import InputError
 from ..field.detectors import Simulations
@@ -308,7 +308,7 @@ def _fit(
     if not np.isfinite(error):
         basis, note, half = "none", "one surface of few speckles has no interval", np.nan
     else:
-        quantile = stats.t.ppf(0.5 + CONFIDENCE / 2, max(taken.freedom, 1))
+        quantile = special.stdtrit(max(taken.freedom, 1), 0.5 + CONFIDENCE / 2)
         half = float(np.hypot(quantile * np.sqrt(error), numerical))
     fit = Sensitivity(value, (value - half, value + half), theory, np.nan, unit, basis, count, 0, note)
     return fit, float(taken.values.std(ddof=1)) if count > 1 else np.nan

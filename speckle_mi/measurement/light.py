@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import ndimage, stats
+from scipy import ndimage, special
 
 from .covariance import autocovariance, deviation, texture_size
 
@@ -101,7 +101,7 @@ def is_uneven(image: np.ndarray, size: float) -> bool:
         return False
     speckles = math.prod(max(1.0, s / (1.06 * max(size, 1.0))) for s in sides if s > 1)
     excess = float(means.var()) * speckles / within
-    return excess > UNEVEN and excess * (means.size - 1) > stats.chi2.ppf(1.0 - CHANCE, means.size - 1)
+    return excess > UNEVEN and excess * (means.size - 1) > special.chdtri(means.size - 1, CHANCE)
 
 
 def smoothing_of(image: np.ndarray) -> float | None:

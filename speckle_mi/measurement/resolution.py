@@ -7,11 +7,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from .sensitivity import CONFIDENCE
 
-QUANTILE = float(stats.norm.ppf(0.5 + CONFIDENCE / 2))
+QUANTILE = float(special.ndtri(0.5 + CONFIDENCE / 2))
 """Standard uncertainties that a shift must exceed to be told from zero, with 95 % confidence."""
 
 

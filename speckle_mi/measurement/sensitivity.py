@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special  # its statistics take as long to import as all the rest
 
 CONFIDENCE = 0.95
 
@@ -172,7 +172,7 @@ def _slope(displacements, shifts, weights) -> tuple[float, float, float, str, st
         else:
             variance = np.sum(weights * (shifts - slopes[:, None] * reach) ** 2) / freedom / precision
             note = "one surface: the interval is from its residuals and leaves out what its frames share"
-    quantile = stats.t.ppf(0.5 + CONFIDENCE / 2, max(freedom, 1))
+    quantile = special.stdtrit(max(freedom, 1), 0.5 + CONFIDENCE / 2)
     half = float(quantile * np.sqrt(variance))
     to_mm = 1e-3 / scale
     result = to_mm * np.array([mean, mean - half, mean + half])
