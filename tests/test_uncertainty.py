@@ -137,6 +137,39 @@ def test_correlated_numbers_are_one_factor_and_may_cancel(propagated):
     assert together.deviation == pytest.approx(together.linear_deviation, rel=0.1)
 
 
+def test_a_tolerance_that_matters_by_its_square_has_its_width_by_sampling(mitsuba, tmp_path):
+    from speckle_mi.machine.journal import Journal
+    from speckle_mi.studies.design import Design
+    from speckle_mi.studies.together import Hands
+    from speckle_mi.studies.tolerances import tolerances_of
+    from speckle_mi.studies.uncertainty import UncertaintySettings, UncertaintyStudy
+    from speckle_mi.studies.widths import allowed_widths
+
+    design = Design.of(SCENE, [(name, str(value)) for name, value in SMALL.items()])
+    tables = {"detector.ry": {"normal": 6.0}, "allowed": {"ry.u": 0.02}}
+    settings = UncertaintySettings(24, surfaces=2, on_samples=0)
+    with Journal(tmp_path) as done:
+        study = UncertaintyStudy(design, tolerances_of(tables, design.nominal()), settings, Hands(done=done))
+        result = study.result()
+        # Along u of a detector turned by b: 1/cos b = 1 + b^2/2 of 1.905 mm/deg, deviation 1.905 sqrt(2)/2 s^2.
+        wanted = math.sqrt(0.02 / (1.905 * math.sqrt(0.5))) * 180 / math.pi
+        assert result.entries["ry.u"].linear_deviation < 1e-6
+        assert allowed_widths(study, result).alone["detector.ry"] == pytest.approx(wanted, rel=0.06)
+
+
+def test_a_variant_is_swept_as_a_sensor_is(mitsuba):
+    from speckle_mi import Simulations, load_detectors
+    from speckle_mi.studies.swept import swept_sensitivities
+
+    simulations = Simulations(load_detectors(SCENE, width=64, height=48, pixel_pitch=0.02))
+    measured, curvature, doubt, _ = swept_sensitivities(simulations, [3], np.array([-0.01, 0.01]))
+    wanted = exact(35, 60, -750)
+    assert measured.shape == (1, 1, 6, 6) and curvature.shape == (1, 1, 6) and doubt.shape == (1, 6, 6)
+    for place, name in (((0, 0, 0, 4), "ry.u"), ((0, 0, 1, 5), "rz.v")):
+        assert measured[place] == pytest.approx(wanted[name], rel=0.01)
+    assert measured[0, 0, 0, 0] == pytest.approx(wanted["x.u"], abs=0.2)  # of one surface
+
+
 def test_a_compensator_takes_off_what_it_is_adjusted_for(propagated):
     tables = {"detector_distance": {"normal": 0.5}}
     adjusted = {"parameter": "wavefront_radius", "bounds": [-900, -600], "condition": "y.v"}

@@ -80,7 +80,7 @@ def _widths_to_json(result: UncertaintyResult, widths: AllowedWidths) -> dict:
         return {"sizes": tolerances, "uncertainty": of.uncertainty}
 
     return {
-        "allowed": dict(result.tolerances.allowed), "factor": widths.factor,
+        "allowed": widths.allowed, "factor": widths.factor,
         "together": sizes(widths.together), "equal": sizes(widths.equal),
         "alone": {name: None if math.isinf(size) else size for name, size in widths.alone.items()},
     }  # fmt: skip
@@ -145,9 +145,11 @@ def print_uncertainty(result: UncertaintyResult, widths: AllowedWidths | None) -
     print_table(console, heads, rows, title="Standard uncertainties", left=(0, 1, 7))
     if widths is not None:
         _print_widths(console, result, widths)
-    for found in shown:
-        if found.note:
-            console.print(f"{found.entry.name}: {found.note}")
+    for name, value in result.tolerances.allowed:
+        if widths is None or name not in widths.allowed:
+            console.print(f"allowed {name} {value:g}: these tolerances make less than a thousandth of it")
+    for note in dict.fromkeys(found.note for found in shown if found.note):
+        console.print(f"{', '.join(found.entry.name for found in shown if found.note == note)}: {note}")
     failed = f", {result.failed} failed (the first: {result.reason})" if result.failed else ""
     console.print(
         f"{len(result.samples)} samples in rows of {result.rows}{failed}; surfaces {_span(result.surfaces)}, samples "
@@ -168,8 +170,8 @@ def _print_widths(console, result: UncertaintyResult, widths: AllowedWidths) -> 
                 f"{together[one.parameter]:.3g}", f"{equal[one.parameter]:.3g}",
                 "any" if math.isinf(alone) else f"{alone:.3g}" if alone > 0 else "-",
             ])  # fmt: skip
-    allowed = ", ".join(f"{name} {value:g}" for name, value in result.tolerances.allowed)
-    heads = ["number", "size", "given", "all in proportion", "all with equal parts", "alone (linear)"]
+    allowed = ", ".join(f"{name} {value:g}" for name, value in widths.allowed.items())
+    heads = ["number", "size", "given", "all in proportion", "all with equal parts", "alone"]
     print_table(console, heads, rows, title=f"How wide tolerances may be for {allowed}", left=(0, 1))
 
 
@@ -195,4 +197,6 @@ def _near_zero(value: float) -> float:
 
 
 def _span(seeds: tuple[int, ...]) -> str:
+    if not seeds:
+        return "none"
     return f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"

@@ -188,7 +188,11 @@ class ComparisonStudy:
             raise InputError(f"none of {len(jobs)} assemblies can be, the first: {evaluations[0].failed}")
         figures = [self._figures(one) for one in evaluations]
         return DesignComparison(
-            self.requirements, self._ranked(evaluations, figures), _conclusions(figures), evaluations, self._swept,
+            self.requirements,
+            self._ranked(evaluations, figures),
+            _conclusions(figures),
+            evaluations,
+            self._swept,
             self.detectors,
         )
 

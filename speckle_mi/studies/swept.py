@@ -29,7 +29,7 @@ def swept_sensitivities(
     curvature = np.full((len(seeds), len(names), 6), np.nan)
     for surface, seed in enumerate(seeds):
         rest = simulations.frames(Pose(), seed)
-        error = max(error, *(frame.error for frame in rest.values()))
+        error = max(error, *(frame.numerical_error for frame in rest.values()))
         at_rest = {name: frame.image.measured for name, frame in rest.items()}
         correlators = {name: Correlator(image) for name, image in at_rest.items()}
         for column, dof in enumerate(DEGREES_OF_FREEDOM):

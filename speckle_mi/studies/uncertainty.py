@@ -264,7 +264,8 @@ class UncertaintyStudy:
             linear = {name: float(slopes[number][place]) for number, name in enumerate(self.nominal)}
             entries[entry.name] = EntryUncertainty(
                 entry, float(at_middle[place]), float(spread.mean[column]), float(spread.deviation[column]),
-                float(spread.deviation_error[column]), _interval(table[..., column], spread.deviation[column]),
+                float(spread.deviation_error[column]),
+                _interval(table[..., column], spread, column, bool(is_known[place])),
                 linear, self._combined(linear),
                 _by_factor(names, spread.first_order[:, column], spread.first_order_error[:, column]),
                 _by_factor(names, spread.total[:, column], spread.total_error[:, column]),
@@ -315,8 +316,11 @@ class _Found:
             self.measured = measured.reshape(len(blank), *self.theory.shape)
 
 
-def _interval(values: np.ndarray, deviation: float) -> tuple[float, float]:
-    """What 95 % of the samples lie in; the spread of what frames show is first reduced to that of the tolerances."""
+def _interval(values: np.ndarray, spread: Spread, column: int, is_theory: bool) -> tuple[float, float]:
+    """What 95 % of the samples lie in; the spread of what frames show is first reduced to that of the tolerances, as
+    large as it may be."""
+    error = 0.0 if is_theory else spread.deviation_error[column]
+    deviation = np.hypot(spread.deviation[column], error)
     mean = values[:, :2].mean(axis=0).ravel()
     shown = mean.std()
     share = min(deviation / shown, 1.0) if shown > 0 else 0.0
