@@ -75,8 +75,11 @@ def solids_of(assemblies: Mapping[str, Assembly], layout: Layout) -> list[Solid]
         corners, centre = _corners(assembly.detector), assembly.detector.centre
         solids.append(Solid(name, "detector", (corners,), (np.vstack([corners, corners[:1]]),), centre))
     lasers = [part for part in layout.parts if part.kind == "laser"]
-    for lit, (axis, *_), part in zip(first.named_parts, layout.beams, lasers, strict=True):
-        solids.append(Solid(part.name, "laser", _tube(lit.beam, axis.points), (axis.points,), part.place))
+    for lit, (axis, *others), part in zip(first.named_parts, layout.beams, lasers, strict=True):
+        # Light that is traced on its way to the target is shown by its rays.
+        rays = (axis, *others) if lit.path is not None else (axis,)
+        rims = tuple(line.points for line in rays)
+        solids.append(Solid(part.name, "laser", _tube(lit.beam, axis.points), rims, part.place))
     return solids
 
 

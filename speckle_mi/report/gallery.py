@@ -51,10 +51,11 @@ def make_entry(
 
 def write_gallery(path: Path, entries: list[GalleryEntry], command: str) -> None:
     """Writes the page."""
+    surfaces = len(entries[0].found.result.seeds)
     parts = [
         "# Gallery",
         f"Every example scene: its drawing, the middle of its speckle image ({_SIDE} pixels a side at most), and its "
-        f"sensitivities on the detector from one frame of each of {entries[0].found.result.seeds} surfaces, with 95 % "
+        f"sensitivities on the detector from one frame of each of {surfaces} surfaces, with 95 % "
         f"intervals, beside theory. Made by `{command}`.",
         ", ".join(f"[{one.name}](#{one.name})" for one in entries),
         *(_section(one) for one in entries),
