@@ -1,14 +1,14 @@
 """Whether the stated ``numerical_error`` is a bound, over random renders.
 
-    python tests/error_bounds.py [RENDERS]
+    python tests/error_bounds.py [FIRST:LAST]
 
 Point sources in a patch, seen in free space, through a lens, or through a lens and a stop; spans, distances, counts,
 pixels and tolerances are drawn at random. The truth is, in free space, the plain float64 sum over all pairs, and with a
 lens the same scene at ``direct`` and a tolerance of 1e-7. What a plan leaves out, the wave of an edge that the light is
 clear of, is missing in both: it is bounded and not known, so that what the sums state is compared alone.
 
-Of 135 renders one true error is above the stated one, and two stated errors are more than three times above: behind a
-stop, whose sum is judged on all of its light while the detector sees a part. In free space and behind a lens all hold.
+The sum to a stop is judged where it sends light to the detector: of draws 137 to 254 the 40 behind a stop state 1.37 to
+3.09 times the true error, one of them more than three times.
 """
 
 from __future__ import annotations
@@ -106,7 +106,8 @@ def main() -> None:
     mi.set_log_level(mi.LogLevel.Error)
     found = []
     with tempfile.TemporaryDirectory() as folder:
-        for number in range(int(sys.argv[1]) if len(sys.argv) > 1 else RENDERS):
+        first, last = map(int, sys.argv[1].split(":")) if len(sys.argv) > 1 else (0, RENDERS)
+        for number in range(first, last):
             found.append(outcome(number, lambda text: assembly_from_scene(mi.load_string(text)), Path(folder)))
             one = found[-1]
             print(f"{number:4d} {one.kind:14s} {one.tolerance:.1e} stated {one.stated:.2e} true {one.true:.2e}"

@@ -84,10 +84,12 @@ def channel_field(
         began = time.perf_counter()
         nodes, areas = nodes_on(channel, number, quadrature)
         path = leg_path(channel, number, rim.end, opening, wavelength)
+        onward = channel.onward[number]
+        judged = None if onward is None else onward.drawn(nodes.a, nodes.b, areas)
         if number == 0:
-            values, results = on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe)
+            values, results = on_first_opening(setup, channel, rim, path, scatterers, nodes, tolerance, lobe, judged)
         else:
-            result = summed(channel, path, sources, weights, nodes, *how, tolerance, setup.costs)
+            result = summed(channel, path, sources, weights, nodes, *how, tolerance, setup.costs, judged)
             values, results = result.field, [(result.how, result.numerical_error)]
         stages += _sums((rim.name,), results, began, nodes.size)
         sources, weights = nodes.points(), values * areas
@@ -154,15 +156,18 @@ def on_detector(
 
 def on_first_opening(
     setup: Setup, channel: Channel, rim: Rim, path, scatterers: Scatterers, nodes: PlanePoints, tolerance: float,
-    lobe: Lobe | None,
+    lobe: Lobe | None, judged: np.ndarray | None = None,
 ) -> tuple[np.ndarray, list[tuple[How, float]]]:  # fmt: skip
-    """The field (n,) at the nodes of the first opening, and how each sum was done with its error."""
+    """The field (n,) at the nodes of the first opening, and how each sum was done with its error.
+
+    judged: indices of nodes on which the error is measured, those that send light to the detector.
+    """
     how = setup.assembly.beam.wavelength, setup.assembly.options.method, tolerance, setup.costs
     sources, results = scatterers.position, []
     shadowed = has_shadow(channel, rim, sources, setup.frame.axes)
 
     def radiated(weights: np.ndarray) -> np.ndarray:
-        result = summed(channel, path, sources, weights, nodes, *how)
+        result = summed(channel, path, sources, weights, nodes, *how, judged)
         field, error = result.field, result.numerical_error
         if shadowed:
             field, shared = _with_shadows_on(setup, nodes, channel, rim, path, sources, weights, field, *how)

@@ -13,6 +13,10 @@ from ..geometry.pairs import all_pairs
 from ..optics.aim import AimedPaths, aim, chief_ray
 from ..optics.sequence import Interaction, Sequence, detector_plane
 from ..optics.trace import trace
+from ..propagation.chebyshev import tensor_polynomials
+from .onward import ORDERS, Onward
+from .places import FINE, hole_places
+from .setup import Setup
 from .way import Channel, Rim, without_rims
 
 _SAME_MIDDLE = 6
@@ -84,3 +88,23 @@ def straight_on(channel: Channel, light: LightOver, goal: Rim | None) -> np.ndar
     between, end = leg(channel, light.opening, goal)
     hits = trace(Sequence((*between, end)), light.places, light.directions).points[-1]
     return hits[np.all(np.isfinite(hits), axis=1)]
+
+
+def onward_of(setup: Setup, channel: Channel) -> tuple[Onward | None, ...]:
+    """For each opening of a channel, where light from the spot goes on to; None where not every place has a ray."""
+    return tuple(_onward(setup, channel, rim) for rim in channel.openings)
+
+
+def _onward(setup: Setup, channel: Channel, rim: Rim) -> Onward | None:
+    places, grid, spots = hole_places(rim.plane, *FINE), channel.grid, setup.spots
+    light = light_over(channel, None, spots, rim, places)
+    hits = straight_on(channel, light, None)
+    if len(hits) < len(spots) * len(places):
+        return None
+    reach, distance = rim.plane.outline.reach, float(np.linalg.norm(grid.centre - rim.plane.frame.origin))
+    polynomials = tensor_polynomials(ORDERS, rim.plane.frame.to_local(places)[:, :2] / reach).T
+    offset = ((hits - grid.centre) @ np.stack([grid.u, grid.v], axis=1)).reshape(len(spots), len(places), 2)
+    landing = np.array([np.linalg.lstsq(polynomials, one, rcond=None)[0] for one in offset])
+    wavelength = setup.assembly.beam.wavelength
+    spread = np.sqrt(wavelength * distance) + wavelength * distance / reach
+    return Onward(reach, landing, np.array(grid.half_size) + spread)

@@ -22,7 +22,7 @@ from .cost import expected_scatterers, opening_cost
 from .edges import SHARE, EdgeWave, all_affordable, chosen_edges, limiting_rims
 from .fresnel import edge_wave, fresnel_parameter
 from .gradients import phase_gradients
-from .legs import rays_over
+from .legs import onward_of, rays_over
 from .opening_shadows import (
     hidden_pixels,
     is_summed_along_edge,
@@ -215,7 +215,7 @@ def _channel(setup: Setup, bare: Channel) -> Channel:
     stages += decisions
     channel = replace(bare, openings=openings)
     if openings and setup.assembly.options.method != "rays":
-        channel = replace(channel, gradients=_gradients(setup, channel))
+        channel = replace(channel, gradients=_gradients(setup, channel), onward=onward_of(setup, channel))
     to_opening = rays_to_opening(setup, channel) if openings else None
     if to_opening:
         cut_by = tuple(dict.fromkeys(shapes_in_the_way(setup, to_opening)))

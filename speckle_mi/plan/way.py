@@ -13,6 +13,7 @@ from ..geometry.plane import PlaneGrid
 from ..optics.aim import ChiefRay
 from ..optics.sequence import Interaction
 from ..optics.surface import Surface
+from .onward import Onward
 from .routes import Route
 from .stage import Stage
 
@@ -74,7 +75,7 @@ class Channel:
     not diffracted at amount to, relative to the field; hidden: pixels (rows, columns) that something hides from a part
     of the last opening; branches: the interactions of all ways over the same faces, this one's among them, where there
     are several; cut_by: names of shapes that cast a shadow on the first opening; chiefs: chief rays of its legs that
-    have been found, by what ``legs.rays_over`` calls them.
+    have been found, by what ``legs.rays_over`` calls them; onward: which parts of the openings light the detector.
     """
 
     route: Route
@@ -88,6 +89,7 @@ class Channel:
     hidden: np.ndarray | None = None
     branches: tuple[tuple[Interaction, ...], ...] = ()
     cut_by: tuple[str, ...] = ()
+    onward: tuple[Onward | None, ...] = ()
     chiefs: dict[tuple, ChiefRay | None] = field(default_factory=dict, compare=False, repr=False)
 
     @property

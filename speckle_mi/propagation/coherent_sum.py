@@ -165,6 +165,7 @@ def coherent_sum(
     method: str = "auto",
     tolerance: float = 1e-4,
     costs: Costs = RECORDED,
+    judged: np.ndarray | None = None,
 ) -> SumResult:
     """E_m = sum_j c_j A(P_j, D_m) e^{+ikV(P_j, D_m)} on all points of the target.
 
@@ -172,6 +173,7 @@ def coherent_sum(
     without closed form: the expansion at its tightest), ``fast`` the cheapest of the others, ``auto`` the cheapest of
     all. tolerance: relative L2 error allowed of ``fast`` and ``auto``, 1e-8 to 1e-1; what misses it is replaced. costs:
     what the choice rests on; who sums on a graphics card measures them there once (``costs_of``) and hands them over.
+    judged: (k,) indices of points, as often as they count, on which the field's error is measured, where not on all.
     Raises ValueError for arrays of the wrong shape, values that are not finite, parameters out of range, and a source
     that lies on a point of the target.
     """
@@ -183,7 +185,7 @@ def coherent_sum(
         sources, weights = sources[lit], weights[lit]
     if method == "direct":
         tolerance = SINGLE_PRECISION if supports(path) else TIGHTEST
-    task = Task(path, sources, weights, target, wavelength, tolerance).with_cheap_path()
+    task = Task(path, sources, weights, target, wavelength, tolerance, judged).with_cheap_path()
     if method == "direct" and supports(path):
         return task.result(task.every_pair(), ASKED)
     return _first_that_holds(task, costs, with_pairs=method == "auto")
@@ -216,6 +218,7 @@ class Task:
     target: PlaneGrid | PlanePoints
     wavelength: float
     tolerance: float
+    judged: np.ndarray | None = None
     path_error: float = 0.0
 
     @cached_property
@@ -328,16 +331,18 @@ class Task:
         with np.errstate(divide="ignore", invalid="ignore"):  # told below
             field = candidate.field()
         flat = field.reshape(-1)
-        sample = Sample.of(flat, int(np.clip(SAMPLED_PAIRS // len(self.sources), *SAMPLED_POINTS)))
-        if not np.isfinite(sample.mean_square):
+        looked_at = flat if self.judged is None else flat[self.judged]
+        sample = Sample.of(looked_at, int(np.clip(SAMPLED_PAIRS // len(self.sources), *SAMPLED_POINTS)))
+        if not np.isfinite(sample.mean_square if self.judged is None else flat.sum()):
             raise InputError("a source lies on a point of the target: the field is infinite there, move one of the two")
-        places = points_at(self.target, sample.index)
+        index = sample.index if self.judged is None else self.judged[sample.index]
+        places = points_at(self.target, index)
         if supports(self.path) and places.size * len(self.sources) > KERNEL_PAIRS:
             # In float64 throughout: the float32 angles of the sum that is judged must not judge themselves.
             exact = direct_sum(self.path, self.sources, self.weights, places, self.wavelength, tolerance=0.0)
         else:
             exact = self._reference(places)
-        error = sample.error(flat[sample.index], exact)
+        error = sample.error(flat[index], exact)
         seconds = candidate.seconds if np.isfinite(candidate.seconds) else None
         how = replace(candidate.how, why=why, slower=slower, missed=tuple(missed), tolerance=self.tolerance,
                       predicted_seconds=seconds)  # fmt: skip
