@@ -252,4 +252,4 @@ def _facts(first: Assembly, frame: Frame, assemblies: Mapping[str, Assembly], ra
 
 
 def _degrees(cosine: float) -> str:
-    return f"{np.degrees(np.arccos(cosine)):.3g}°"
+    return f"{round(float(np.degrees(np.arccos(cosine))), 3):.3g}°"
