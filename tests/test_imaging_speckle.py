@@ -9,12 +9,13 @@ from scene_builder import detector_frame, direction
 
 from speckle_mi import theory
 from speckle_mi.measurement.correlator import Correlator
-from speckle_mi.measurement.speckle_statistics import centre_of_gravity
+from speckle_mi.measurement.speckle_statistics import centre_of_gravity, contrast
 from speckle_mi.geometry.frames import Frame
 from speckle_mi.geometry.pose import Pose
 from speckle_mi.theory.paraxial import entrance_pupil, system_matrix
 from speckle_mi.measurement.sensitivity import fit_sensitivity
-from speckle_mi.field.simulation import simulate, simulate_frame
+from speckle_mi.field.resolution import scatterers_in_cell
+from speckle_mi.field.simulation import Simulation, simulate, simulate_frame
 
 WAVELENGTH = 632.8e-6
 K = 2 * np.pi / WAVELENGTH
@@ -250,3 +251,16 @@ def test_speckle_shift_of_the_integrated_sensor_is_the_tilted_lasers_at_its_dist
         value = (moved[:, plus, axis] - moved[:, plus + 1, axis]) / (2 * a)
         error = value.std(ddof=1) / np.sqrt(len(value))
         assert abs(value.mean() - expected[axis, axis]) <= 3 * error + 0.01, (value.mean(), expected[axis, axis], error)
+
+
+def test_an_image_of_single_scatterers_is_warned_of_with_its_contrast(shipped):
+    """Intensities of few scatterers at random in a resolution cell: contrast^2 = 1 + 1/N."""
+    assembly = shipped("imaging", beam_radius=2.0, point_sources=1600, width=96, height=96)
+    simulation = Simulation(assembly)
+    count = scatterers_in_cell(simulation.setup(), simulation.plan().channels[0])
+    frames = [simulation.frame(seed=seed) for seed in range(6)]
+    found = np.mean([contrast(frame.image.intensity) for frame in frames])
+    assert found == pytest.approx(np.sqrt(1 + 1 / count), rel=0.3)
+    assert any("scatterers: the image is single points" in line for line in frames[0].warnings)
+    enough = Simulation(shipped("imaging", point_sources=400, width=32, height=32)).frame()
+    assert not any("single points" in line for line in enough.warnings)

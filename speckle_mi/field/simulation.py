@@ -31,6 +31,7 @@ from .frame import FrameResult, LightOnDetector, header_of
 from .illumination import Illumination
 from .incoherent import added_up, by_photons, layers_of, named, stacked, together, too_few_samples
 from .lobe import Lobe
+from .resolution import too_few_scatterers
 from .stages import ChannelField, channel_field, ray_channel
 
 PLANS_KEPT = 256
@@ -142,7 +143,7 @@ class Simulation:
         warnings += too_few_samples(setup.assembly, lit)
         scatterers = _visible(setup, lit, plan, warnings)
         centre, intensity, stages, error = self._detect(setup, scatterers, plan, warnings)
-        warnings += plan.warnings
+        warnings += [*plan.warnings, *too_few_scatterers(setup, plan.channels)]
         stages, error = (*light, *stages), float(np.hypot(error, max((one.error or 0.0 for one in light), default=0.0)))
         if error > setup.assembly.options.tolerance:
             warnings.append(_beyond_tolerance(error, setup.assembly.options.tolerance, stages))
