@@ -19,6 +19,9 @@ _AROUND = 8
 _ASIDE = 0.01
 """Step on the target [mm] that tells the magnification."""
 
+_AIRY = 0.4694
+"""Radius of that disc [wavelengths over the sine of half the cone's angle]."""
+
 FEWEST = 1.0
 """Scatterers in a resolution cell below which a warning is due."""
 
@@ -42,8 +45,9 @@ def scatterers_in_cell(setup: Setup, channel: Channel) -> float:
     """Mean number of scatterers whose images behind a way's first opening lie in one another.
 
     The image of a scatterer is as large as the rays over the opening's rim are apart on the detector, and as the disc
-    0.61 lambda/sin(alpha) of the cone that they arrive in; the magnification takes it back to the target. Infinite
-    where rays tell neither.
+    that stands for Airy's of the cone that they arrive in: of its intensity h of the area (int h)^2/int h^2, of which
+    N scatterers have the contrast sqrt(1 + 1/N) whose images are h at random places. The magnification takes it back to
+    the target. Infinite where rays tell neither.
     """
     opening, spot = channel.openings[0], setup.spot
     steps = (np.zeros(3), *(_ASIDE * vectors_across(spot.normal)))
@@ -64,7 +68,7 @@ def scatterers_in_cell(setup: Setup, channel: Channel) -> float:
     magnification = abs(np.linalg.det(aside / _ASIDE))
     if not (sine > 0 and magnification > 0):
         return np.inf
-    disc = 0.61 * setup.assembly.beam.wavelength / sine
+    disc = _AIRY * setup.assembly.beam.wavelength / sine
     area = np.pi * (np.mean(np.sum(around**2, axis=1)) + disc**2) / magnification
     density = setup.assembly.target.surface.density
     return float(min(density * area, max(expected_scatterers(setup.assembly), 1e-300)))
