@@ -39,7 +39,7 @@ def test_a_tilted_detector_takes_the_cross_talk_of_a_tilted_laser_off(optimise):
 
 def test_trade_offs_are_those_of_theory(optimise):
     goal = {"minimise": ["crosstalk.z"], "maximise": ["rz.y"], "extent.z": {"at_most": 80}}
-    found = optimise(LASER, "laser_angle=5:60,detector_distance=40:90", goal, 220)
+    found = optimise(LASER, "laser_angle=5:60,detector_distance=40:90", goal, 160)
     # A closer detector at the largest angle, or the closest one at smaller angles, beats all between.
     angle, distance = np.radians(np.linspace(5, 60, 400))[:, None], np.linspace(40, 80, 200)
     crosstalk = distance / 750 * np.sin(angle) * np.cos(angle) / (1 - distance / 750)
@@ -52,7 +52,7 @@ def test_trade_offs_are_those_of_theory(optimise):
         assert trial.values["detector_distance"] <= 80
     ratios = [one.figures["rz.y"].best / rotation[crosstalk <= one.figures["crosstalk.z"].best * 1.0001].max()
               for one in found.front]  # fmt: skip
-    assert np.median(ratios) > 0.97
+    assert np.median(ratios) > 0.96
     assert found.front[0].values["laser_angle"] == pytest.approx(5, abs=0.5)
     assert found.front[-1].figures["rz.y"].best == pytest.approx(rotation.max(), rel=0.02)
 
@@ -123,9 +123,9 @@ def test_optuna_proposes_trials_within_the_bounds(mitsuba):
 
     design = Design.of(LASER, [(name, str(value)) for name, value in SMALL.items()])
     free, goals = free_numbers("laser_angle=-20:40,detector.rx=-1:1"), goals_of({"minimise": ["z.x"]}, ["detector"])
-    found = [OptimisationStudy(design, free, goals, 60, 3, sampler="optuna").result() for _ in range(2)]
-    assert found[0].front[0].values == found[1].front[0].values and len(found[0].trials) == 60
-    assert abs(found[0].front[0].values["laser_angle"]) < 2
+    found = [OptimisationStudy(design, free, goals, 30, 3, sampler="optuna").result() for _ in range(2)]
+    assert found[0].front[0].values == found[1].front[0].values and len(found[0].trials) == 30
+    assert abs(found[0].front[0].values["laser_angle"]) < 5
     assert all(-20 <= one.values["laser_angle"] <= 40 for one in found[0].trials)
 
 
