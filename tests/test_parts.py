@@ -78,3 +78,15 @@ def test_the_pattern_behind_the_asphere_moves_as_the_image(shipped):
     assembly = shipped("parts/asphere", width=32, height=32)
     assert any("asphere - asphere - stop" in line for line in plan_of(assembly).lines)
     assert expected_sensitivity(assembly)["x"][0] == pytest.approx(-1.0, abs=0.02)
+
+
+def test_the_diode_lights_an_ellipse_as_each_axis_goes_through_the_collimator(shipped):
+    """By the complex parameter of either axis through a thick lens between its principal planes."""
+    beam = shipped("parts/diode", width=32, height=32).beam
+    n, radius, thickness, wavelength = 1.5151, 5.0, 2.0, 632.8e-6
+    focus = 1 / ((n - 1) * (2 / radius - (n - 1) * thickness / (n * radius**2)))
+    inside = focus * (n - 1) * thickness / (n * radius)
+    for found, waist in zip(beam.radii, (0.006, 0.003), strict=True):
+        q = -1j * np.pi * waist**2 / wavelength + 4.55 + inside
+        q = 1 / (1 / q - 1 / focus) + inside + 40
+        assert found == pytest.approx(np.sqrt(wavelength / (np.pi * (1 / q).imag)), rel=0.01)
