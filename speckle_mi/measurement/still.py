@@ -20,9 +20,10 @@ STILL = 1
 SURE = 1.3
 """Significance beyond which a second peak, away from zero, is the moving pattern's and no chance."""
 
-DOUBTFUL = 1.2
-"""Significance below which a weak peak next to zero shift may be what uneven gain makes between unrelated speckle:
-three of 500 unrelated pairs of pictures with a gain uneven by half reach 1.04 to 1.09 there."""
+DOUBTFUL, FAINT = 1.2, 0.3
+"""Significance and correlation below which a peak next to zero shift may be what uneven gain makes between unrelated
+speckle. Uneven by half it correlates by 1/6, and by more where chance adds to that: three of 500 pairs reach a
+significance of 1.04 to 1.09 with 0.17 to 0.27."""
 
 ALIKE = 0.9
 """Correlation at zero shift above which the whole picture stands still."""
@@ -132,7 +133,7 @@ def of_the_camera(
             " even light and give it as --flat, or a smaller window"
         )
     near = all(abs(i - o) <= reach for i, o, reach in zip(peak.place, origin, texture.lobe))
-    if near and peak.ncc < HALF and peak.significance < DOUBTFUL:
+    if near and peak.ncc < FAINT and peak.significance < DOUBTFUL:
         return (
             f"a correlation of {peak.ncc:.2f} next to zero shift is no more than uneven gain or dust make between"
             " patterns that share nothing else; take a larger window, or a picture of even light and give it as --flat"
