@@ -65,6 +65,11 @@ class Interaction:
         return self.action == "reflect" or self.index_before != self.index_after
 
     @property
+    def is_nothing(self) -> bool:
+        """Whether a face does nothing to light: between equal media, without loss or coating."""
+        return self.action == "refract" and not self.bends and not self.coated and self.amplitude == 1.0
+
+    @property
     def reflects_inside(self) -> bool:
         """Whether light is reflected within a glass where no coating is meant to, as at total reflection."""
         return self.action == "reflect" and self.index_before != 1.0 and not self.coated

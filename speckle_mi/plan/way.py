@@ -133,12 +133,15 @@ def _beyond_rim(surface: Surface) -> float:
 def rims_of(
     spot: np.ndarray, names: tuple[str, ...], interactions: tuple[Interaction, ...], end: np.ndarray
 ) -> tuple[Rim, ...]:
-    """The outlines among the interactions of a way from ``spot`` (3,) to ``end`` (3,), in order."""
+    """The outlines among the interactions of a way from ``spot`` (3,) to ``end`` (3,), in order.
+
+    The edge of a face that does nothing to light is none: what diffraction takes on one side it gives on the other.
+    """
     places = np.array([spot, *(i.place for i in interactions), end])
     return tuple(
         _rim(name, number, interaction, _travel(places, number))
         for number, (name, interaction) in enumerate(zip(names, interactions, strict=True))
-        if interaction.surface.outline is not None
+        if interaction.surface.outline is not None and not interaction.is_nothing
     )
 
 
