@@ -94,10 +94,11 @@ def unblocked(setup: Setup, touched: tuple[int, ...], points: np.ndarray, clear:
 
 
 def _across(heading: np.ndarray, distance: float) -> np.ndarray:
-    """Displacements (8, 3) across a heading (3,) [mm], or none, (1, 3), for the distance 0."""
-    if distance == 0:
+    """Displacements (8, 3) across a heading (3,) [mm]; none, (1, 3), for the distance 0 or rays that go nowhere."""
+    length = np.linalg.norm(heading)
+    if distance == 0 or not length > 0:
         return np.zeros((1, 3))
-    across = vectors_across(heading / np.linalg.norm(heading))
+    across = vectors_across(heading / length)
     angle = np.pi / 4 * np.arange(8)
     return distance * np.stack([np.cos(angle), np.sin(angle)], axis=1) @ across
 
