@@ -7,6 +7,8 @@ of Mitsuba's vertices, so that no facet decides differently from an analytic out
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
+
 import mitsuba as mi
 import numpy as np
 
@@ -50,6 +52,23 @@ def move_mesh(mesh: mi.Mesh, frame: Frame, vertices: np.ndarray, normals: np.nda
         return ["vertex_positions"]
     parameters["vertex_normals"] = _single(normals @ frame.axes.T)
     return ["vertex_positions", "vertex_normals"]
+
+
+def moved_with(
+    shape: mi.Mesh, keys: Iterable[str], names: Iterable[str], check: Callable[[], None],
+    tessellation: Callable[[], tuple[np.ndarray, ...]],
+) -> list[str]:  # fmt: skip
+    """Takes a shape's changed parameters over: its place, and where that or one of ``names`` has changed, its mesh.
+
+    check: raises SceneError for numbers that do not go together; tessellation: gives what :func:`move_mesh` takes. For
+    use in ``parameters_changed``, which hands the names of all that has changed, returned, on to ``mi.Mesh``.
+    """
+    keys = list(keys)
+    shape.placement.parameters_changed(keys, shape.where)
+    if {"to_world", *names}.intersection(keys):
+        check()
+        keys += move_mesh(shape, shape.placement.frame, *tessellation())
+    return keys
 
 
 def _single(vectors: np.ndarray):

@@ -58,7 +58,7 @@ from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
 from speckle_mi.scene.parameters import describe, read_choice, read_number, stored, value_of
-from ._mesh import ENCLOSING, SECTORS, fill_mesh, move_mesh, ring_faces, rounding_room, sector_angles
+from ._mesh import ENCLOSING, SECTORS, fill_mesh, moved_with, ring_faces, rounding_room, sector_angles
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
@@ -136,12 +136,7 @@ class Aperture(mi.Mesh):
         expose(self, self.limits, callback)
 
     def parameters_changed(self, keys) -> None:
-        keys = list(keys)
-        self.placement.parameters_changed(keys, self.where)
-        if {"to_world", *self.limits}.intersection(keys):
-            self._check()
-            keys += move_mesh(self, self.placement.frame, self._vertices())
-        super().parameters_changed(keys)
+        super().parameters_changed(moved_with(self, keys, self.limits, self._check, lambda: (self._vertices(),)))
 
     def to_string(self) -> str:
         return f"Aperture[{self.form}, {in_words(self, self.limits, ' mm')}]"

@@ -109,7 +109,7 @@ from speckle_mi.scene.write import ORIGIN
 from ._lens_file import take_lens_file
 from ._lens_mesh import bands_of, lens_faces, lens_vertices
 from ._lens_numbers import FORMS, ROTATIONAL, LensNumbers, read_glass
-from ._mesh import fill_mesh, move_mesh
+from ._mesh import fill_mesh, moved_with
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
@@ -212,11 +212,7 @@ class Lens(mi.Mesh):
         expose(self, self.numbers.limits, callback)
 
     def parameters_changed(self, keys) -> None:
-        keys = list(keys)
-        self.placement.parameters_changed(keys, self.where)
-        if {"to_world", *self.numbers.limits}.intersection(keys):
-            self._check()
-            keys += move_mesh(self, self.placement.frame, *self._vertices())
+        keys = moved_with(self, keys, self.numbers.limits, self._check, self._vertices)
         if self.owns_bsdf and any(key.startswith("ior") for key in keys):
             bsdf = mi.traverse(self.bsdf())
             bsdf["eta"] = self.index

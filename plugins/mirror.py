@@ -90,7 +90,7 @@ from speckle_mi.scene.body import Body
 from speckle_mi.scene.elements import Element
 from speckle_mi.scene.errors import SceneError
 from speckle_mi.scene.parameters import describe, read_list, value_of
-from ._mesh import ENCLOSING, SECTORS, evenly_in_slope, fill_mesh, move_mesh, rounding_room, sector_angles, sheet_faces
+from ._mesh import ENCLOSING, SECTORS, evenly_in_slope, fill_mesh, moved_with, rounding_room, sector_angles, sheet_faces
 from ._numbers import check_numbers, expose, has_bsdf, in_words, read_numbers
 from ._placement import Placement
 
@@ -177,11 +177,7 @@ class Mirror(mi.Mesh):
         expose(self, _LIMITS, callback)
 
     def parameters_changed(self, keys) -> None:
-        keys = list(keys)
-        self.placement.parameters_changed(keys, self.where)
-        if {"to_world", *_LIMITS}.intersection(keys):
-            self._check()
-            keys += move_mesh(self, self.placement.frame, *self._vertices())
+        keys = moved_with(self, keys, _LIMITS, self._check, self._vertices)
         if "reflectance" in keys and self.owns_bsdf:
             bsdf = mi.traverse(self.bsdf())
             for name in bsdf.keys():
