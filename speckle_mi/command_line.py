@@ -156,13 +156,24 @@ def add_force(made: argparse.ArgumentParser) -> None:
     made.add_argument("--force", action="store_true", help=help_text)
 
 
-def add_execution(made: argparse.ArgumentParser) -> None:
-    """The flags of every study: who does its jobs, for ``execution.executor_of`` and ``execution.Shard``."""
+def add_range(made: argparse.ArgumentParser, what: str) -> None:
+    """The flag of every command that is about a range of motions, for :func:`require_range`."""
+    help_text = f"{what}, mm or deg (default: %(default)s)"
+    made.add_argument("--range", type=float, default=0.2, help=help_text)
+
+
+def add_scheduler(made: argparse.ArgumentParser) -> None:
+    """The flag of every study: who does its jobs, for ``execution.executor_of``."""
     made.add_argument(
         "--scheduler", metavar="S",
         help="have the work done by N processes of this machine (local:N), or by the workers of a dask scheduler "
         "(tcp://host:8786); needs the extra 'cluster' (default: this process)",
     )  # fmt: skip
+
+
+def add_execution(made: argparse.ArgumentParser) -> None:
+    """The flags of every study that parts of can be done apart: besides, which one, for ``execution.Shard``."""
+    add_scheduler(made)
     made.add_argument(
         "--shard", metavar="I/N",
         help="do the I-th of N parts only, beside others with the same DIR; the last one to end writes the results",

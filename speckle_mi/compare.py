@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import (
-    add_detector, add_execution, add_force, add_surfaces, command, parser, line_of, print_json, require_range, say,
+    add_detector, add_execution, add_force, add_range, add_surfaces, command, line_of, parser, print_json,
+    require_range, say,
 )  # fmt: skip
 from .errors import InputError
 
@@ -34,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise InputError(f"--seeds {options.seeds}: must be at least 3, from which figures have intervals")
     require_range(options)
     # Not at the top: a command answers interrupts before it imports what takes time.
-    from .experiments.execution import Shard, executor_of, require_scheduler
+    from .experiments.execution import Shard, require_scheduler
     from .machine.files import identity_in, refuse_other_settings, require_folder, write_json
 
     shard = Shard.parse(options.shard)
@@ -58,12 +59,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         name: Design.of(path, fixed, options.variant, options.detector)
         for name, path in zip(scene_names(options.scenes), options.scenes, strict=True)
     }
-    from .machine.journal import Journal
-    from .machine.progress import progress_bars
     from .report import comparison_report as report
     from .report.html_study import write_study
     from .report.study_arrays import write_comparison_arrays
-    from .studies.together import Hands, LeftToOthers
+    from .studies.together import LeftToOthers, hands_at_work
 
     candidates = candidates_of(designs, list(swept.values()))
     surfaces = options.seeds or SURFACES
@@ -74,12 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }  # fmt: skip
     target = folder / "comparison.json"
     refuse_other_settings(target, identity_in(target), identity, options.force)
-    with (
-        executor_of(options.scheduler) as executor,
-        Journal(folder / "jobs", shard.journal) as done,
-        progress_bars(options.quiet) as progress,
-    ):
-        hands = Hands(executor, done, shard)
+    with hands_at_work(options.scheduler, folder, shard, options.quiet) as (hands, progress):
         study = ComparisonStudy(candidates, options.require, surfaces, options.range, list(swept.values()), hands)
         bar = progress.add_task("assemblies", total=len(candidates))
         try:
@@ -127,8 +121,7 @@ def _parser():
     made.add_argument("--variant", default=DEFAULT_VARIANT, help="Mitsuba variant (default: %(default)s)")
     made.add_argument("--require", metavar="R.toml", help="limits on figures that an assembly must keep to")
     add_surfaces(made)
-    made.add_argument("--range", type=float, default=0.2,
-                      help="range of motions that the resolution is for, mm or deg (default: %(default)s)")  # fmt: skip
+    add_range(made, "range of motions that the resolution is for")
     made.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
     add_detector(made)
     add_execution(made)

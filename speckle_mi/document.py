@@ -8,11 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from .command_line import command, parser, print_json, say
+from .command_line import SURFACES, command, parser, print_json, say
 from .errors import InputError
-
-SURFACES = 8
-"""That a gallery's sensitivities are measured on."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

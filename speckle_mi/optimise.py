@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import (
-    SURFACES, add_detector, add_force, command, line_of, print_json, require_range, say, scene_parser,
+    SURFACES, add_detector, add_force, add_range, add_scheduler, command, line_of, print_json, require_range, say,
+    scene_parser,
 )  # fmt: skip
 from .errors import InputError
 
@@ -39,22 +40,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise InputError(f"--seeds {options.seeds}: must be at least 3, from which figures have intervals")
     require_range(options)
     # Not at the top: a command answers interrupts before it imports what takes time.
-    from .experiments.execution import executor_of, require_scheduler
+    from .experiments.execution import WHOLE, require_scheduler
     from .machine.files import identity_in, refuse_other_settings, require_folder, write_json
     from .studies.goals import free_numbers, read_goals
 
     free = free_numbers(options.free)
     require_scheduler(options.scheduler)
     folder = require_folder(options.out)
-    from .machine.journal import Journal
-    from .machine.progress import progress_bars
     from .report import optimisation_report as report
     from .report.html_study import write_study
     from .report.study_arrays import write_optimum_arrays
     from .scene.load import split_defaults
     from .studies.design import Design
     from .studies.optimisation import OptimisationStudy
-    from .studies.together import Hands
+    from .studies.together import hands_at_work
 
     design = Design.of(options.scene, split_defaults(options.defaults), options.variant, options.detector)
     goals = read_goals(options.goal, list(design.assemblies({})))
@@ -65,13 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }  # fmt: skip
     target = folder / "optimum.json"
     refuse_other_settings(target, identity_in(target), identity, options.force)
-    with (
-        executor_of(options.scheduler) as executor,
-        Journal(folder / "jobs") as done,
-        progress_bars(options.quiet) as progress,
-    ):
+    with hands_at_work(options.scheduler, folder, WHOLE, options.quiet) as (hands, progress):
         study = OptimisationStudy(
-            design, free, goals, options.trials, options.seeds, options.range, options.sampler, Hands(executor, done)
+            design, free, goals, options.trials, options.seeds, options.range, options.sampler, hands
         )
         bar = progress.add_task("trials", total=options.trials)
         found = study.result(lambda: progress.advance(bar))
@@ -104,11 +99,8 @@ def _parser():
     made.add_argument("--seeds", type=int, default=SURFACES,
                       help="surfaces that the best are measured on, and trials where theory does not tell "
                       "(default: %(default)s)")  # fmt: skip
-    made.add_argument("--range", type=float, default=0.2,
-                      help="range of motions that the resolution is for, mm or deg (default: %(default)s)")  # fmt: skip
-    made.add_argument(
-        "--scheduler", metavar="S", help="local:N or tcp://host:8786: who makes the trials (this process)"
-    )
+    add_range(made, "range of motions that the resolution is for")
+    add_scheduler(made)
     made.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
     add_detector(made)
     add_force(made)

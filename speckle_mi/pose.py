@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from .command_line import add_motions, command, parser, print_json, require_range
+from .command_line import add_motions, add_range, command, parser, print_json, require_range
 from .errors import InputError
 
 
@@ -55,10 +55,7 @@ def _parser():
     files = "SUMMARY.json ... SHIFTS.csv"
     made.add_argument("files", nargs="+", metavar=files, help="sensitivities of each detector, and the shifts")
     add_motions(made, "motions that there are")
-    made.add_argument(
-        "--range", type=float, default=0.2,
-        help="width of the range of motions by which what is seen is judged, mm or deg (default: %(default)s)",
-    )  # fmt: skip
+    add_range(made, "width of the range of motions by which what is seen is judged")
     made.add_argument("--out", metavar="F.json", help="also write everything as JSON")
     return made
 

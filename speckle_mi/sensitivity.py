@@ -11,8 +11,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from .command_line import (
-    add_detector, add_force, add_motions, add_precision, add_surfaces, command, print_json, require_range,
-    scene_parser, surfaces_of,
+    add_detector, add_force, add_motions, add_precision, add_range, add_surfaces, command, print_json,
+    require_range, scene_parser, surfaces_of,
 )  # fmt: skip
 from .errors import InputError
 
@@ -108,10 +108,7 @@ def _parser():
     add_motions(made, "motions")
     add_surfaces(made)
     add_precision(made)
-    made.add_argument(
-        "--range", type=float, default=0.2,
-        help="width of the range of displacements for which scatter is stated, mm or deg (default: %(default)s)",
-    )  # fmt: skip
+    add_range(made, "width of the range of displacements for which scatter is stated")
     made.add_argument("--out", metavar="F.json", help="also write everything as JSON")
     add_detector(made)
     add_force(made)

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from .command_line import (
-    SURFACES, add_detector, add_execution, add_force, add_images, add_motions, add_precision, add_surfaces, command,
-    line_of, print_json, say, scene_parser, surfaces_of,
+    SURFACES, add_detector, add_execution, add_force, add_images, add_motions, add_precision, add_range, add_surfaces,
+    command, line_of, print_json, say, scene_parser, surfaces_of,
 )  # fmt: skip
 from .errors import InputError
 from .machine.interrupt import keeping
@@ -129,9 +129,7 @@ def _parser():
         "scenes/tilted_laser.xml --dof x,ry --seeds 4 --out results/tilted",
     )  # fmt: skip
     add_motions(parser, "motions to sweep")
-    parser.add_argument(
-        "--range", type=float, default=0.2, help="width of the range about rest, mm or deg (default: %(default)s)"
-    )
+    add_range(parser, "width of the range about rest")
     parser.add_argument("--steps", type=int, default=10, help="displacements in the range (default: %(default)s)")
     add_surfaces(parser)
     add_precision(parser)

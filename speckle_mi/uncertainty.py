@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .command_line import (
-    SURFACES, add_detector, add_execution, add_force, command, line_of, print_json, require_range, say, scene_parser,
+    SURFACES, add_detector, add_execution, add_force, add_range, command, line_of, print_json, require_range, say,
+    scene_parser,
 )  # fmt: skip
 from .errors import InputError
 
@@ -51,7 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         raise InputError(f"--steps {options.steps}: must be at least 2")
     require_range(options)
     # Not at the top: a command answers interrupts before it imports what takes time.
-    from .experiments.execution import Shard, executor_of, require_scheduler
+    from .experiments.execution import Shard, require_scheduler
     from .machine.files import identity_in, refuse_other_settings, require_folder, write_json
 
     shard = Shard.parse(options.shard)
@@ -63,12 +64,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
     design = Design.of(options.scene, split_defaults(options.defaults), options.variant, options.detector)
     tolerances = read_tolerances(options.tolerances, design.nominal())
-    from .machine.journal import Journal
-    from .machine.progress import progress_bars
     from .report import uncertainty_report as report
     from .report.html_study import write_study
     from .report.study_arrays import write_uncertainty_arrays
-    from .studies.together import Hands, LeftToOthers
+    from .studies.together import LeftToOthers, hands_at_work
     from .studies.uncertainty import UncertaintySettings, UncertaintyStudy
     from .studies.widths import ITERATIONS, allowed_widths
 
@@ -83,12 +82,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }  # fmt: skip
     target = folder / "uncertainty.json"
     refuse_other_settings(target, identity_in(target), identity, options.force)
-    with (
-        executor_of(options.scheduler) as executor,
-        Journal(folder / "jobs", shard.journal) as done,
-        progress_bars(options.quiet) as progress,
-    ):
-        study = UncertaintyStudy(design, tolerances, settings, Hands(executor, done, shard))
+    with hands_at_work(options.scheduler, folder, shard, options.quiet) as (hands, progress):
+        study = UncertaintyStudy(design, tolerances, settings, hands)
         bar = progress.add_task("samples", total=study.count)
         try:
             result = study.result(lambda: progress.advance(bar))
@@ -131,8 +126,7 @@ def _parser():
                       help="surfaces from which the scatter of one is told (default: %(default)s)")  # fmt: skip
     made.add_argument("--frames", type=int, default=2,
                       help="surfaces that samples are measured on; 0: theory alone (default: %(default)s)")  # fmt: skip
-    made.add_argument("--range", type=float, default=0.2,
-                      help="width of the range of motions, mm or deg (default: %(default)s)")  # fmt: skip
+    add_range(made, "width of the range of motions")
     made.add_argument("--steps", type=int, default=4, help="displacements of a sweep (default: %(default)s)")
     made.add_argument("--out", metavar="DIR", required=True, help="folder for the results")
     add_detector(made)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
-from ..experiments.execution import WHOLE, Shard
+from ..experiments.execution import WHOLE, Shard, executor_of
 from ..experiments.jobs import Executor, Job, run
 from ..machine.journal import Journal
+from ..machine.progress import progress_bars
 from .evaluation import Evaluation
 
 
@@ -54,3 +57,19 @@ class Hands:
 
 
 ALONE = Hands()
+
+
+@contextmanager
+def hands_at_work(
+    scheduler: str | None, folder: Path, shard: Shard, quiet: bool
+) -> Iterator[tuple[Hands, object]]:
+    """Hands whose results are kept in a folder, and bars of their progress, while a command's study is at work.
+
+    scheduler: as of :func:`executor_of`; quiet: whether the bars are hidden. Raises as that and :class:`Journal` do.
+    """
+    with (
+        executor_of(scheduler) as executor,
+        Journal(folder / "jobs", shard.journal) as done,
+        progress_bars(quiet) as progress,
+    ):
+        yield Hands(executor, done, shard), progress
